@@ -7,6 +7,7 @@ that read a number, do not. A function that is called twice counts once. The bro
 connected to it.
 
     python -m studies.hops            # an event to its stored result and to the broker
+    python -m studies.hops udds       # the events of a UDDS from 20 degC to their diagnoses: the worst of them
     python -m studies.hops decode     # a log to a table of Parquet
     python -m studies.hops --listing  # and which modules and functions the calls are, the most called first
 """
@@ -20,7 +21,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import CodeType, FrameType
@@ -39,9 +40,12 @@ from diag_service.service.stages import Diagnosis
 from diag_service.settings.config import DiagnosisConfig
 from diag_service.stopping import Trigger
 from diag_service.store import ResultStore
+from ecu_emulator.drive.recording import frames_of
+from ecu_emulator.scenario import DriveName
+from ecu_emulator.scenario.scenario_file import load_scenario
 from fleet_contract import Outgoing
 from fleet_link import BrokerAddress
-from studies.builders import new_decoder
+from studies.builders import in_oil, new_decoder, new_stages, to_batch
 from studies.run import parsed, study_parser
 
 CARRIERS = (Event, ShiftEstimate, ClutchVerdict, Diagnosis, ShiftResult, StoredResult, Outgoing)
@@ -50,6 +54,9 @@ PACKAGES = ("diag_service", "fleet_contract", "fleet_link", "clutch_model", "can
 VEHICLE, NOW = "car1", "2026-01-01T00:00:00.000000Z"
 MOST_CALLS, MOST_MODULES = 25, 10  # goals, of what hands an event on
 EVENT_GOALS, BROKER_MODULES, DECODE_GOALS = (500, 20), 30, (2_000, 30)  # of all calls: calls and modules
+UDDS_GOALS, MOST_FILMS = (1_000, 20), 8  # of the worst event of a UDDS: calls and modules, integrations of its films
+COOL_DEGC = 20.0
+FILMS = ("diag_service.diagnosis.friction.film", "integrate_films")
 
 
 Call = tuple[str, str]  # module and function
@@ -158,6 +165,24 @@ def trip_of_decoding(log: Path, table: Path) -> EventTrip:
     return trip
 
 
+def trips_of_a_udds(oil_degc: float) -> list[tuple[Event, Counter[Call]]]:
+    """Return the events of a UDDS in oil of a temperature, each with its calls from the event to its diagnosis.
+
+    They go through twice: what is loaded or compiled once is not theirs.
+    """
+    scenario = in_oil(replace(load_scenario("ideal"), drive=DriveName.UDDS), oil_degc)
+    stages, trips = new_stages(), list[tuple[Event, Counter[Call]]]()
+    events = [*stages.segment(to_batch(frames_of(scenario)[0])), *stages.flush()]
+    for event in events:
+        stages.conclude(event)
+    stages = new_stages()
+    for event in events:
+        with watched(trip := EventTrip()):
+            stages.conclude(event)
+        trips.append((event, trip.calls))
+    return trips
+
+
 def modules_of(calls: Counter[Call]) -> Counter[str]:
     """Return how many calls each module had."""
     modules: Counter[str] = Counter()
@@ -185,9 +210,20 @@ def listing(calls: Counter[Call]) -> str:
 def main() -> int:
     """Print the way; return 1 if it is longer than the goals."""
     parser = study_parser(__doc__, is_parallel=False)
-    parser.add_argument("way", nargs="?", choices=("event", "decode"), default="event")
+    parser.add_argument("way", nargs="?", choices=("event", "udds", "decode"), default="event")
     parser.add_argument("--listing", action="store_true", help="print every module and function with its count")
     asked = parsed(parser)
+    if asked.way == "udds":
+        trips = trips_of_a_udds(COOL_DEGC)
+        event, calls = max(trips, key=lambda trip: trip[1].total())
+        if asked.listing:
+            print(listing(calls))
+        total = sum((every for _, every in trips), Counter[Call]())
+        calls_each, films_each = total.total() / len(trips), total[FILMS] / len(trips)
+        print(f"{len(trips)} events: {calls_each:.0f} own calls and {films_each:.1f} integrations of films each")
+        print(said(f"the worst, {event.kind.value} number {event.number}", calls, UDDS_GOALS))
+        print(f"its films were integrated {max(every[FILMS] for _, every in trips)} times at most; goal {MOST_FILMS}")
+        return int(calls.total() > UDDS_GOALS[0] or len(modules_of(calls)) > UDDS_GOALS[1])
     if asked.way == "decode":
         with TemporaryDirectory() as folder:
             log = Path(folder) / "drive.log"

@@ -29,7 +29,7 @@ from clutch_results.curves import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO, WATCH_M
 from clutch_results.event_kinds import MicroSlip
 from clutch_results.records import Condition
 from diag_service.diagnosis.columns import ColumnBatch, Signal
-from diag_service.diagnosis.condition.condition import ConditionMemory, judge_lockup
+from diag_service.diagnosis.condition.condition import ConditionMemory, ConverterClutch, judge
 from diag_service.diagnosis.lockup.estimator import LockupEstimator, SlipFinder
 from diag_service.diagnosis.lockup.slope import LEAST_SEEN, RPM_10_RAD_S, SlipBlocks, SlopeSurvey, cut
 from diag_service.diagnosis.lockup.state import MICRO_SLIP_RAD_S, LockupState
@@ -101,7 +101,10 @@ def driven(case: LockupCase) -> list[LockupOutcome]:
     looks, wrong, waiting, final = list[LockupLook](), list[str](), list(MOMENTS_S), Condition.NO_VERDICT
     for event in [one for batch in batches(found.columns) for one in finder.feed(batch)] + finder.flush():
         state, estimate, swings = estimator.estimate(event, state)
-        memory, verdict = judge_lockup(memory.with_fit(estimate).with_shudder(swings), state, calibration, swings)
+        memory, verdict = judge(
+            memory.with_fit(estimate).with_shudder(swings),
+            ConverterClutch.of(state, calibration, swings),
+        )
         final = verdict.condition
         if is_wrong(final, car, calibration):
             wrong.append(f"{final.name.lower()} after {state.slip_s:.0f} s: {verdict.reason}")

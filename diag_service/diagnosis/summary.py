@@ -28,7 +28,8 @@ from clutch_results.records import (
     utc_from_bus_ns,
 )
 from clutchdiag_io.people import STDS, half_width, plus_minus
-from diag_service.diagnosis.condition.verdict import Silence, advice, likely
+from diag_service.diagnosis.condition.thresholds import Silence
+from diag_service.diagnosis.condition.verdict import advice, likely
 from fleet_contract import JsonObject, orders
 
 RENEWED_RATIO: Final = 0.08  # by which mu_C rises with one fluid at most; after a fill by 15 % and more

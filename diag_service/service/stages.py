@@ -13,10 +13,17 @@ from clutch_results.event_kinds import DATED_NS
 from clutch_results.records import ClutchVerdict, Reason, ShiftEstimate, Status, Tier
 from diag_service.diagnosis.columns import ColumnBatch, Signal
 from diag_service.diagnosis.condition.causes import CauseJudge
-from diag_service.diagnosis.condition.condition import ConditionMemory, VehicleCourse, judge, judge_lockup, no_verdict
+from diag_service.diagnosis.condition.condition import (
+    ConditionMemory,
+    ConverterClutch,
+    PairClutch,
+    VehicleCourse,
+    judge,
+    no_verdict,
+)
 from diag_service.diagnosis.condition.shift_indices import measure
 from diag_service.diagnosis.condition.shift_quality import ShiftScorer
-from diag_service.diagnosis.condition.verdict import Silence
+from diag_service.diagnosis.condition.thresholds import Silence
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import ALGORITHM_VERSION, Estimator, Posterior
 from diag_service.diagnosis.friction.estimator import without_friction
@@ -203,7 +210,7 @@ class DualClutch:
         if self._has_scale and course.is_due:
             course = replace(course, found=self._causes.judge(course))
         memory = memory.with_fit(estimate).with_shift(estimate, before).with_launch(estimate, course)
-        return judge(memory, state, estimate.clutch, self._calibration)
+        return judge(memory, PairClutch.of(state, estimate.clutch, self._calibration))
 
     def _silent(
         self, memory: ConditionMemory, estimate: ShiftEstimate, _before: Posterior, _state: Posterior
@@ -243,7 +250,7 @@ class LockupClutch:
         if is_used and state.shift_count <= before.shift_count:  # not by what was known: that begins afresh
             memory = memory.with_changed_friction(1)
         memory = memory.with_fit(estimate).with_shudder(swings)
-        memory, verdict = judge_lockup(memory, state, self._calibration, swings)
+        memory, verdict = judge(memory, ConverterClutch.of(state, self._calibration, swings))
         return Diagnosis.of(belief, event, estimate, verdict, replace(belief, state=state, memory=memory))
 
     def with_new_fluid(self, belief: Belief, filled_at: str) -> Belief:

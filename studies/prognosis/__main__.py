@@ -21,7 +21,7 @@ from rich.table import Table
 from canlog.arrays import FloatArray
 from clutch_results.prognosis import Passage, prognose
 from clutch_results.prognosis.changes import fluid_starts
-from diag_service.diagnosis.condition.verdict import CHANGE_PROBABILITY
+from diag_service.diagnosis.condition.thresholds import Cause, given_at
 from studies.prognosis.baselines import (
     FARTHEST_KM,
     PROBABILITIES,
@@ -116,7 +116,7 @@ def passage_at(life: Life, odometer_km: float) -> Passage | None:
 
 def _is_due(life: Life, odometer_km: float) -> bool:
     when = passage_at(life, odometer_km)
-    return when is not None and when.within(0.0) >= CHANGE_PROBABILITY
+    return when is not None and when.within(0.0) >= given_at()[Cause.SHUDDER]
 
 
 def _forecasts(life: Life, lives_km: FloatArray) -> list[ScoredForecast]:

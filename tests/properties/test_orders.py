@@ -24,7 +24,8 @@ from clutch_results.records import (
     utc_from_bus_ns,
 )
 from diag_service.delivery.console import order_lines
-from diag_service.diagnosis.condition.verdict import Cause, Silence, advice
+from diag_service.diagnosis.condition.thresholds import Cause, Silence
+from diag_service.diagnosis.condition.verdict import advice
 from diag_service.diagnosis.summary import of_present_fluid, order_by
 from fleet_backend.queries import with_orders
 from fleet_contract.orders import Action, Order

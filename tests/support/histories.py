@@ -8,7 +8,8 @@ import numpy as np
 
 from clutch_model.calibration import nominal_calibration
 from clutch_results.records import Condition, FluidFill, Reason, ShiftResult
-from diag_service.diagnosis.condition.verdict import Cause, advice
+from diag_service.diagnosis.condition.thresholds import Cause
+from diag_service.diagnosis.condition.verdict import advice
 from diag_service.diagnosis.summary import latest_of
 from diag_service.report.findings import Findings
 from diag_service.service.session import versions_for

@@ -16,7 +16,8 @@ from PIL import Image
 from clutch_results.curves import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
 from clutch_results.event_kinds import EventKind, PackHeat, ShiftParts, ShiftQuality
 from clutch_results.records import Condition, ShiftResult
-from diag_service.diagnosis.condition.verdict import Cause, advice
+from diag_service.diagnosis.condition.thresholds import Cause
+from diag_service.diagnosis.condition.verdict import advice
 from fleet_backend import queries
 from fleet_backend.database import open_database
 from fleet_backend.migrate import migrate

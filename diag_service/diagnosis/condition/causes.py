@@ -27,7 +27,7 @@ from diag_service.diagnosis.condition.condition import FILLED_COUNT, LOWER, MEAS
 from diag_service.diagnosis.friction.evidence import FRICTION_COUNT, NAMES, PARAMETER_COUNT, State
 from diag_service.diagnosis.friction.posterior import Posterior
 
-SURE: Final = 0.9
+SURE: Final = 0.9  # probability: below it a cause is not named without a doubt, as a repair costs
 SOUND, ELSE = "sound", "something-else"
 FEATURES: Final = (
     "level1", "slope1", "level2", "slope2", *NAMES[FRICTION_COUNT:],
@@ -69,7 +69,7 @@ class Hypotheses(NamedTuple):
 
 
 STRENGTHS: Final = ((1.0, 0.35), (2.0, 0.6), (3.5, 1.0))  # mean and deviation of what is expected
-PAIR_STRENGTH: Final = (2.0, 0.9)
+PAIR_STRENGTH: Final = (2.0, 0.9)  # likewise of two causes that are there together
 PAIR_SHARE: Final = 0.05  # of a second cause beside a first one
 MOST_PAIRED: Final = 3  # of the likeliest causes each is tried with all others
 MODEL_SHARE: Final = 0.25  # of a signature: laws that no simulated car has
@@ -78,9 +78,9 @@ UNFILLED_COST: Final = 8.0  # of another fluid where nobody has noted a fill
 NEW_STD: Final = np.array([0.02, 0.015])  # of level and slope among clutches of one type with new fluid
 LEAST_SHOWN: Final = 0.2  # part of a change that shows: parameters of which events tell less are left out
 TAILS: Final = 8.0  # degrees of freedom: what is far off is not next to impossible
-LEAST_TOLD: Final = 0.005
+LEAST_TOLD: Final = 0.005  # probability: what is less likely rounds to nothing
 MOST_MOVED: Final = 6  # quantities in the picture
-LEAST_RENEWED: Final = 1e-9
+LEAST_RENEWED: Final = 1e-9  # ratio: renewed fluid is never ruled out, so that logarithms stay finite
 SHOWN_STD: Final = 1.5  # deviations from which on something is said to have moved
 _OF_FLUID: Final = frozenset({"aged-fluid", "water", "air"})
 _AGED, _RENEWED = ("aged-fluid", None), ("renewed-fluid", None)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from math import hypot, log, prod
 from statistics import NormalDist
-from typing import Final, Self
+from typing import ClassVar, Final, Protocol, Self
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from clutch_results.records import (
     Causes,
     ClutchVerdict,
     Condition,
+    FrictionEstimate,
     FrictionSlope,
     FrictionTrend,
     LiningChange,
@@ -27,28 +28,22 @@ from clutch_results.records import (
     from_plain,
     to_plain,
 )
+from diag_service.diagnosis.condition.thresholds import FIT_WINDOW, THRESHOLDS, Cause, Silence, Situation
 from diag_service.diagnosis.condition.verdict import (
-    CALIBRATING_AT,
-    COLD_AT,
-    COLD_K,
-    FIT_WINDOW,
-    MAX_MISFIT_SHARE,
-    MIN_MISFIT_COUNT,
-    NEW_FLUID_CONTRADICTIONS,
-    SLIP_AT,
-    SURE_AT,
-    UNSURE_UP_TO_SCALE_AT,
-    Cause,
+    SHIFTS,
+    SLIP_MINUTES,
+    Case,
+    Course,
     Finding,
+    KnownLevel,
+    KnownUpToScale,
     Launches,
     RunningScatter,
-    Silence,
     advice,
     decide,
-    decide_up_to_scale,
     nothing,
 )
-from diag_service.diagnosis.friction.evidence import PARAMETER_COUNT, Evidence
+from diag_service.diagnosis.friction.evidence import PARAMETER_COUNT, Evidence, Knowledge
 from diag_service.diagnosis.friction.posterior import (
     Posterior,
     both_frictions,
@@ -105,12 +100,16 @@ class LiningBaseline:
         )
 
 
-MEMORY_FORMAT = 2
+MEMORY_FORMAT = 2  # of what is stored
 _MISFITS = frozenset({Reason.MISFIT, Reason.ZERO_JUMPED})
 CONTRADICTIONS: Final = frozenset({
     *(Reason.PRESSURE_OFF_COMMAND, Reason.SPEEDS_DISAGREE, Reason.SENSOR_FROZEN, Reason.SATURATED, Reason.IMPLAUSIBLE),
 })  # fmt: skip
-REFUSED_COUNT: Final = 10  # events of a clutch, one after the other: what was known before may no longer hold
+COLD_K: Final = THRESHOLDS[Situation.COLD, Situation.BEGINNING].value  # of a pack
+REFUSED_COUNT: Final = int(THRESHOLDS[Silence.DATA_CONTRADICT, Situation.ALWAYS].value)  # events of a clutch, in a row
+MAX_MISFIT_SHARE: Final = THRESHOLDS[Silence.CALIBRATION_MISFIT, Situation.ALWAYS].value
+MIN_MISFIT_COUNT: Final = THRESHOLDS[Silence.CALIBRATION_MISFIT, Situation.BEGINNING].value
+NEW_FLUID_CONTRADICTIONS: Final = THRESHOLDS[Silence.CALIBRATION_MISFIT, Situation.FLUID_IS_NEW].value
 
 
 class Fit(StrEnum):
@@ -129,7 +128,7 @@ FILLED_COUNT: Final = 15.0  # of the first ones after a fill
 FORGETTING: Final = 0.97  # weight of an event after each later one: some thirty count
 JUDGED_EVERY: Final = 10  # events: a judgement takes as long as an event, a sensor that drifts is soon refused
 SENSORS: Final = frozenset({"torque-sensor", "pressure-sensor"})
-SENSOR_SHARE: Final = 0.5  # that a sensor drifts: more, and its clutch is not judged
+SENSOR_SHARE: Final = THRESHOLDS[Silence.SENSOR_DRIFTED, Situation.ALWAYS].value  # that a sensor drifts
 MEASURED: Final = ("pressure_lag_s", "pressure_reach_ratio", "pressure_short_pa", "fill_time_s", "believed_touch_pa")
 LOWER: Final = np.tril_indices(PARAMETER_COUNT)
 
@@ -321,10 +320,7 @@ class ConditionMemory:
             return ""
         if not misfits and contradictions <= NEW_FLUID_CONTRADICTIONS:
             return ""
-        return (
-            f"calibration does not fit: {count} of the last {len(self.fits)} shifts contradict it; "
-            "diag-service calibrate makes one for this vehicle"
-        )
+        return f"calibration does not fit: {count} of the last {len(self.fits)} shifts contradict it"
 
     def with_shift(self, estimate: ShiftEstimate, before: Posterior) -> Self:
         """Return the memory after a shift, of which the running state stood at ``before``.
@@ -386,100 +382,194 @@ class ConditionMemory:
         return memory
 
 
-def judge(
-    memory: ConditionMemory, state: Posterior, clutch: int, calibration: Calibration
-) -> tuple[ConditionMemory, ClutchVerdict]:
-    """Return the verdict on clutch 1 or 2 from its running state, and the memory with it.
+class JudgedClutch(Protocol):
+    """A clutch with all that is known of it after an event."""
+
+    @property
+    def clutch(self) -> int:
+        """1 or 2."""
+
+    @property
+    def misfit(self) -> tuple[Silence, str]:
+        """What is said where the calibration does not fit, and what to do."""
+
+    def case(self, memory: ConditionMemory) -> Case:
+        """Return what its verdict is decided by."""
+
+    def noted(self, finding: Finding) -> Finding:
+        """Return a finding with what limits it."""
+
+    def verdict(self, memory: ConditionMemory, finding: Finding) -> ClutchVerdict:
+        """Return a finding as it is reported."""
+
+
+def judge(memory: ConditionMemory, judged: JudgedClutch) -> tuple[ConditionMemory, ClutchVerdict]:
+    """Return the verdict on a clutch, and the memory with it.
 
     Each cause (negative slope, low friction, lost friction, thin margin) has a probability. A verdict is given when the
-    probability of a cause reaches its threshold and kept until that has fallen below ``LEAVE_PROBABILITY``.
+    probability of a cause reaches its threshold and kept until that has fallen below the one to call it off.
     """
-    index = clutch - 1
-    reference = calibration.clutches[index].friction
-    shift_counts, stated = state.shift_counts, state.stated
-    shift_count = shift_counts[index]
-    known = bool(shift_count)
-    (now, free), since = both_frictions(state, clutch, stated), trend(state, clutch) if known else None
-    launches = memory.launches[index]
-    first, second = calibration.clutches[0].friction, calibration.clutches[1].friction
-    common = common_margin(state, stated, (first.mu_c - first.mu_s, second.mu_c - second.mu_s))
-    progress = calibration_ratio(state, calibration)
-    is_cold = state.packs is not None and state.packs.clutch_k[index] < COLD_K
-    slope = None if state.torque is TorqueSource.MEASURED else FrictionSlope.of(free, state.torque)
-    unsure_at = UNSURE_UP_TO_SCALE_AT if slope is not None else COLD_AT if is_cold else CALIBRATING_AT
-    give_at = unsure_at if is_cold or progress < CALIBRATED_RATIO else SURE_AT
-    rest = since, reference, shift_count, memory.conditions[index], memory.grounds[index], launches
-    finding = decide(now, *rest, common, give_at) if slope is None else decide_up_to_scale(slope, *rest, give_at)
-    tells_level = known and slope is None
+    finding = _silenced(memory, judged) or judged.noted(decide(judged.case(memory)))
+    return memory.with_finding(judged.clutch, finding), judged.verdict(memory, finding)
+
+
+def _silenced(memory: ConditionMemory, judged: JudgedClutch) -> Finding | None:
+    """Return why its events are no ground for a verdict; None: they are."""
     if memory.misfit_text:
-        finding = nothing(Silence.CALIBRATION_MISFIT, memory.misfit_text)
-    elif (refused_count := memory.refused[index]) >= REFUSED_COUNT:
-        finding = nothing(Silence.DATA_CONTRADICT, f"{Silence.DATA_CONTRADICT} ({refused_count} events)")
-    elif memory.course.found is not None and (share := memory.course.sensor_share(clutch)) >= SENSOR_SHARE:
-        finding = nothing(Silence.SENSOR_DRIFTED, f"{Silence.SENSOR_DRIFTED} ({100.0 * share:.0f} % likely)")
-    elif known and progress < CALIBRATED_RATIO:
-        finding = replace(finding, reason=f"{finding.reason}, calibrating: {100.0 * progress:.0f} %")
-    scatter, lining = memory.scatters[index], memory.linings[index]
-    verdict = ClutchVerdict(
-        clutch=clutch,
-        condition=finding.condition,
-        reason=finding.reason,
-        level_ratio=now.mu_c / reference.mu_c if tells_level else None,
-        friction=now if tells_level else None,
-        shift_count=shift_count,
-        scale_free=free if known else None,
-        common_scale_std_ratio=common_scale_std_ratio(state, clutch) if tells_level else None,
-        shift_scatter=None if scatter is None else scatter.reported,
-        trend=since,
-        clutch_ratio=clutch_ratio(stated) if all(shift_counts) else None,
-        lining=lining.change(free) if lining is not None and known else None,
-        stick_slip=launches.reported,
-        calibration_ratio=progress,
-        advice=advice(clutch, finding.ground, finding.probability),
-        slope=slope if known else None,
-        causes=memory.causes,
-    )
-    return memory.with_finding(clutch, finding), verdict
+        silence, what_to_do = judged.misfit
+        return nothing(silence, memory.misfit_text + what_to_do)
+    if (count := memory.refused[judged.clutch - 1]) >= REFUSED_COUNT:
+        return nothing(Silence.DATA_CONTRADICT, f"{Silence.DATA_CONTRADICT} ({count} events)")
+    if memory.course.found is not None and (share := memory.course.sensor_share(judged.clutch)) >= SENSOR_SHARE:
+        return nothing(Silence.SENSOR_DRIFTED, f"{Silence.SENSOR_DRIFTED} ({100.0 * share:.0f} % likely)")
+    return None
 
 
-SLIP_MINUTES: Final = "minutes of slip"
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PairClutch:
+    """A clutch of a pair; `of` makes one."""
+
+    clutch: int
+    misfit: ClassVar[tuple[Silence, str]] = (
+        Silence.CALIBRATION_MISFIT, "; diag-service calibrate makes one for this vehicle",
+    )  # fmt: skip
+    state: Posterior
+    calibration: Calibration
+    stated: Knowledge
+    friction: FrictionEstimate
+    free: ScaleFreeFriction
+    since: FrictionTrend | None
+    slope: FrictionSlope | None  # where no level is known
+    shift_counts: tuple[int, int]  # of both clutches
+    progress: float  # 0 to 1: how far the vehicle has calibrated itself
+
+    @classmethod
+    def of(cls, state: Posterior, clutch: int, calibration: Calibration) -> Self:
+        """Return clutch 1 or 2 with what its running state says."""
+        stated, shift_counts = state.stated, state.shift_counts
+        friction, free = both_frictions(state, clutch, stated)
+        return cls(
+            clutch=clutch,
+            state=state,
+            calibration=calibration,
+            stated=stated,
+            friction=friction,
+            free=free,
+            since=trend(state, clutch) if shift_counts[clutch - 1] else None,
+            slope=None if state.torque is TorqueSource.MEASURED else FrictionSlope.of(free, state.torque),
+            shift_counts=shift_counts,
+            progress=calibration_ratio(state, calibration),
+        )
+
+    def case(self, memory: ConditionMemory) -> Case:
+        index = self.clutch - 1
+        reference = self.calibration.clutches[index].friction
+        course = Course(
+            counted=SHIFTS,
+            shift_count=self.shift_counts[index],
+            since=self.since,
+            launches=memory.launches[index],
+            previous=memory.conditions[index],
+            previous_cause=memory.grounds[index],
+            situations=self._situations(),
+        )
+        if self.slope is not None:
+            return KnownUpToScale.of(self.slope, reference, course)
+        first, second = [clutch.friction for clutch in self.calibration.clutches]
+        common = common_margin(self.state, self.stated, (first.mu_c - first.mu_s, second.mu_c - second.mu_s))
+        return KnownLevel.of(self.friction, reference, common, course)
+
+    def _situations(self) -> tuple[Situation, ...]:
+        packs = self.state.packs
+        is_cold = packs is not None and packs.clutch_k[self.clutch - 1] < COLD_K
+        if not is_cold and self.progress >= CALIBRATED_RATIO:
+            return ()
+        if self.slope is not None:
+            return (Situation.UNSURE_UP_TO_SCALE,)
+        return (Situation.COLD if is_cold else Situation.CALIBRATING,)
+
+    def noted(self, finding: Finding) -> Finding:
+        if not self.shift_counts[self.clutch - 1] or self.progress >= CALIBRATED_RATIO:
+            return finding
+        return replace(finding, reason=f"{finding.reason}, calibrating: {100.0 * self.progress:.0f} %")
+
+    def verdict(self, memory: ConditionMemory, finding: Finding) -> ClutchVerdict:
+        index, known = self.clutch - 1, bool(self.shift_counts[self.clutch - 1])
+        scatter, lining, tells_level = memory.scatters[index], memory.linings[index], known and self.slope is None
+        new_mu_c = self.calibration.clutches[index].friction.mu_c
+        return ClutchVerdict(
+            clutch=self.clutch,
+            condition=finding.condition,
+            reason=finding.reason,
+            level_ratio=self.friction.mu_c / new_mu_c if tells_level else None,
+            friction=self.friction if tells_level else None,
+            shift_count=self.shift_counts[index],
+            scale_free=self.free if known else None,
+            common_scale_std_ratio=common_scale_std_ratio(self.state, self.clutch) if tells_level else None,
+            shift_scatter=None if scatter is None else scatter.reported,
+            trend=self.since,
+            clutch_ratio=clutch_ratio(self.stated) if all(self.shift_counts) else None,
+            lining=lining.change(self.free) if lining is not None and known else None,
+            stick_slip=memory.launches[index].reported,
+            calibration_ratio=self.progress,
+            advice=advice(self.clutch, finding.ground, finding.probability),
+            slope=self.slope if known else None,
+            causes=memory.causes,
+        )
 
 
-def judge_lockup(
-    memory: ConditionMemory, state: LockupState, calibration: Calibration, shudder: Shudder | None
-) -> tuple[ConditionMemory, ClutchVerdict]:
-    """Return the verdict on a lock-up clutch from its running state, and the memory with it, by the rules of `judge`.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ConverterClutch:
+    """The lock-up clutch of a converter; stretches in which its slip swung are a witness as launches are."""
 
-    Stretches in which its slip swung by itself are the witness that launches are for others.
-    """
-    reference, element = calibration.clutches[0].friction, calibration.elements[0]
-    known = bool(state.shift_count)
-    now, since, launches = state.friction(), state.trend(), memory.launches[0]
-    left = NormalDist(now.mu_c - now.mu_s, now.std_slope_s_rad * reference.stribeck_speed_rad_s)
-    margin = left / (reference.mu_c - reference.mu_s)
-    previous = memory.conditions[0], memory.grounds[0]
-    finding = decide(
-        now, since, reference, state.shift_count, *previous, launches, margin, SLIP_AT, counted=SLIP_MINUTES
-    )
-    if memory.misfit_text:
-        finding = nothing(Silence.CONVERTER_MISFIT, memory.misfit_text.partition(";")[0])
-    elif memory.refused[0] >= REFUSED_COUNT:
-        finding = nothing(Silence.DATA_CONTRADICT, f"{Silence.DATA_CONTRADICT} ({memory.refused[0]} events)")
-    verdict = ClutchVerdict(
-        clutch=1,
-        condition=finding.condition,
-        reason=finding.reason,
-        level_ratio=now.mu_c / reference.mu_c if known else None,
-        friction=now if known else None,
-        shift_count=state.shift_count,
-        scale_free=state.scale_free() if known else None,
-        common_scale_std_ratio=state.scale_ratio() if known else None,
-        trend=since,
-        advice=advice(1, finding.ground, finding.probability, element),
-        micro_slip=state.micro_slip(shudder) if known else None,
-        element=element,
-    )
-    return memory.with_finding(1, finding), verdict
+    clutch: ClassVar[int] = 1
+    misfit: ClassVar[tuple[Silence, str]] = (Silence.CONVERTER_MISFIT, "")
+    state: LockupState
+    calibration: Calibration
+    friction: FrictionEstimate
+    since: FrictionTrend | None
+    shudder: Shudder | None
+
+    @classmethod
+    def of(cls, state: LockupState, calibration: Calibration, shudder: Shudder | None) -> Self:
+        """Return it with what its running state says; ``shudder`` is what its last stretch of slip showed."""
+        friction, since = state.friction(), state.trend()
+        return cls(state=state, calibration=calibration, friction=friction, since=since, shudder=shudder)
+
+    def case(self, memory: ConditionMemory) -> Case:
+        reference, now = self.calibration.clutches[0].friction, self.friction
+        left = NormalDist(now.mu_c - now.mu_s, now.std_slope_s_rad * reference.stribeck_speed_rad_s)
+        course = Course(
+            counted=SLIP_MINUTES,
+            shift_count=self.state.shift_count,
+            since=self.since,
+            launches=memory.launches[0],
+            previous=memory.conditions[0],
+            previous_cause=memory.grounds[0],
+            situations=(Situation.LOCKUP,),
+        )
+        return KnownLevel.of(now, reference, left / (reference.mu_c - reference.mu_s), course)
+
+    def noted(self, finding: Finding) -> Finding:
+        """Return the finding: it does not wait for a calibration."""
+        return finding
+
+    def verdict(self, memory: ConditionMemory, finding: Finding) -> ClutchVerdict:  # noqa: ARG002 - no more of it
+        state, element, known = self.state, self.calibration.elements[0], bool(self.state.shift_count)
+        return ClutchVerdict(
+            clutch=1,
+            condition=finding.condition,
+            reason=finding.reason,
+            level_ratio=self.friction.mu_c / self.calibration.clutches[0].friction.mu_c if known else None,
+            friction=self.friction if known else None,
+            shift_count=state.shift_count,
+            scale_free=state.scale_free() if known else None,
+            common_scale_std_ratio=state.scale_ratio() if known else None,
+            trend=self.since,
+            advice=advice(1, finding.ground, finding.probability, element),
+            micro_slip=state.micro_slip(self.shudder) if known else None,
+            element=element,
+        )
 
 
 def _lining(state: Posterior, clutch: int) -> LiningBaseline | None:

@@ -9,13 +9,11 @@ one order of what both of them say.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from operator import itemgetter
 from statistics import NormalDist
-from typing import Final, Self
+from typing import Final, NamedTuple, Protocol, Self
 
 from clutch_model.calibration import FrictionCurve
-from clutch_results.curves import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO, WATCH_MARGIN_RATIO
 from clutch_results.event_kinds import EndReason, EventKind, Shudder
 from clutch_results.records import (
     Condition,
@@ -27,81 +25,27 @@ from clutch_results.records import (
     StickSlip,
 )
 from clutchdiag_io.people import plus_minus
+from diag_service.diagnosis.condition.thresholds import (
+    MIN_SHIFT_COUNT,
+    THRESHOLDS,
+    Cause,
+    Silence,
+    Situation,
+    given_at,
+)
 from fleet_contract.orders import title_of
 
-MIN_SHIFT_COUNT = 3  # of two that disagree nobody knows which is wrong
-MAX_MARGIN_STD_RATIO = 0.25  # of the reference margin: beyond it the slope is anyone's guess
-SURE_MARGIN_STD_RATIO = 0.05  # likewise: until it is known so well, more shifts will tell a thin margin from a good one
-CHANGE_PROBABILITY = 0.95  # a workshop visit costs: be sure
-WATCH_PROBABILITY = 0.80  # of friction that is low or falls: to look again costs less than a workshop visit
-WATCH_MARGIN_PROBABILITY = 0.70  # of a thin margin: films and torques of unknown law feign a level, rarely a difference
-THIN_PROBABILITY = 0.01  # of a thin margin, to call a fluid good before that: a drive is judged a hundred times
-EARLY_MARGIN_STD_RATIO = 0.15  # worse known, the margin of one clutch is believed only as far as both together say so
-COLD_K = 333.15  # of a pack: below it nobody knows the laws of film and drag well, and a drive has many looks at them
-UNSURE_CHANGE_PROBABILITY = 0.99  # in the cold, and until the margin is known to EARLY_MARGIN_STD_RATIO
-UNSURE_LEVEL_PROBABILITY = 0.98  # to watch low friction, in the cold and while a vehicle calibrates
-EARLY_MARGIN_PROBABILITY = 0.80  # to watch a thin margin, until it is known so well
-MAX_SLOPE_STD_RATIO = 0.5  # of the reference margin, by a modelled torque: worse known, a sure slope is no lining's
-SLIP_PROBABILITY = 0.999  # of a lock-up clutch, for either: its slip is judged every minute, for hours
-COMMON_THIN_PROBABILITY = 0.003  # the same by both clutches together: they slip in one oil
-LEAVE_PROBABILITY = 0.20  # to call off a verdict once given, its cause must have become unlikely
-FIT_WINDOW = 20  # shifts of both clutches: two cycles
-MAX_MISFIT_SHARE = 0.25  # none of the shifts of sound drives misfit; of another vehicle's calibration half do
-MIN_MISFIT_COUNT = 3  # one or two shifts are no share
-NEW_FLUID_CONTRADICTIONS = 6  # it contradicts what is known of each clutch up to three times, then that starts afresh
+MAX_MARGIN_STD_RATIO: Final = THRESHOLDS[Silence.MARGIN_UNSURE, Situation.ALWAYS].value
+SURE_MARGIN_STD_RATIO: Final = THRESHOLDS[Situation.UNSURE_BEFORE_GOOD, Situation.BEGINNING].value
+MAX_SLOPE_STD_RATIO: Final = THRESHOLDS[Silence.MARGIN_UNSURE, Situation.UP_TO_SCALE].value
+EARLY_MARGIN_STD_RATIO: Final = THRESHOLDS[Situation.EARLY, Situation.BEGINNING].value
+LEAVE_PROBABILITY: Final = THRESHOLDS[Cause.SHUDDER, Situation.STANDING].value
+WATCH_MARGIN_RATIO: Final = THRESHOLDS[Cause.MARGIN_THIN, Situation.MEANING].value
+CHANGE_LEVEL_RATIO: Final = THRESHOLDS[Cause.LEVEL_LOW, Situation.MEANING].value
+WATCH_LEVEL_RATIO: Final = THRESHOLDS[Cause.LEVEL_FALLING, Situation.MEANING].value
 _PERCENT: Final = 100.0  # of a ratio
 _NEARLY_SURE: Final = 0.995  # beyond it a rounded percentage would promise certainty
 _STEP: Final = 0.001  # to which a reason says a probability
-
-
-class Cause(StrEnum):
-    """What speaks for a change of the fluid, in the words of the verdict's reason."""
-
-    SHUDDER = "shudder"  # the slope is negative
-    LEVEL_LOW = "friction too low"
-    LOSS_LARGE = "too much friction lost since the baseline"
-    MARGIN_THIN = "margin against shudder halved"
-    LEVEL_FALLING = "friction falling"
-    LOSS_BEGUN = "friction lost since the baseline"
-
-
-class Silence(StrEnum):
-    """Why nothing is said of a clutch, and what would help."""
-
-    FEW_SHIFTS = f"fewer than {MIN_SHIFT_COUNT} of its shifts could be used so far; more drives will tell"
-    FEW_EVENTS = f"fewer than {MIN_SHIFT_COUNT} of its events could be used so far; more drives will tell"
-    MARGIN_UNSURE = "its friction is not known well enough yet; more drives will tell"
-    LAUNCHES_JUDDER = "it slips again after it has stuck when the car starts off, and its friction does not say why"
-    SLIP_SWINGS = "its slip swings by itself, and its friction does not say why"
-    CALIBRATION_MISFIT = "the calibration does not fit this vehicle; diag-service calibrate makes one that does"
-    CONVERTER_MISFIT = "the description of its converter does not fit this vehicle; have its numbers looked at"
-    SIGNALS_MISSING = "the signals of this vehicle do not tell its friction"
-    LEVEL_UNKNOWN = (
-        "the torque of the engine is not measured: friction is known up to a scale at best and cannot be called sound"
-    )
-    SENSOR_DRIFTED = "a sensor by which it is judged has probably drifted; have that mended, then calibrate anew"
-    DATA_CONTRADICT = (
-        "its last events were refused, ten or more, because its sensors contradict each other or the commands; have "
-        "them looked at"
-    )
-    INTERNAL_ERROR = "this program failed over its last event; what was known before stands, the next events will tell"
-    PART_OF_DRIVE = "only a part of the drive was seen; measure again on a whole one"
-
-
-_CHANGE: Final = (Cause.SHUDDER, Cause.LEVEL_LOW, Cause.LOSS_LARGE)
-_LEVEL: Final = (Cause.LEVEL_FALLING, Cause.LOSS_BEGUN)
-SURE_AT: Final = {
-    **dict.fromkeys(_CHANGE, CHANGE_PROBABILITY),
-    **dict.fromkeys(_LEVEL, WATCH_PROBABILITY),
-    Cause.MARGIN_THIN: WATCH_MARGIN_PROBABILITY,
-}
-"""From which probability of its cause on a bad verdict is given."""
-_UNSURE_CHANGE_AT: Final = dict.fromkeys(_CHANGE, UNSURE_CHANGE_PROBABILITY)
-CALIBRATING_AT: Final = SURE_AT | dict.fromkeys(_LEVEL, UNSURE_LEVEL_PROBABILITY)
-COLD_AT: Final = CALIBRATING_AT | _UNSURE_CHANGE_AT
-UNSURE_UP_TO_SCALE_AT: Final = COLD_AT | {Cause.MARGIN_THIN: UNSURE_LEVEL_PROBABILITY}  # a model feigns that, too
-SLIP_AT: Final = dict.fromkeys(Cause, SLIP_PROBABILITY)
-_EARLY_AT: Final = {**_UNSURE_CHANGE_AT, Cause.MARGIN_THIN: EARLY_MARGIN_PROBABILITY}
 _WHAT: Final = {
     Cause.SHUDDER: "it can shudder",
     Cause.LEVEL_LOW: f"its friction is below {_PERCENT * CHANGE_LEVEL_RATIO:.0f} % of new",
@@ -127,7 +71,7 @@ def advice(clutch: int, ground: Cause | Silence | None, probability: float = 0.0
         return f"{title}: {ground}."
     if ground is None:
         return f"{title}: its friction is sound ({_percent(probability)} sure)."
-    return f"{title}: {_WHAT[ground]} ({_until_called_off(probability, SURE_AT[ground])})."
+    return f"{title}: {_WHAT[ground]} ({_until_called_off(probability, given_at()[ground])})."
 
 
 def _until_called_off(probability: float, given_at: float) -> str:
@@ -144,12 +88,11 @@ def _percent(probability: float) -> str:
     return "over 99 %" if probability > _NEARLY_SURE else f"{_PERCENT * probability:.0f} %"
 
 
-JUDDER_RAD_S: Final = 5.2  # slip after the clutch had stuck: 5, and a little of what the noise of its speeds adds
-SHIFTS: Final = "shifts"  # what friction of a clutch is told by, where its kind has no word of its own
+JUDDER_RAD_S: Final = THRESHOLDS[Silence.LAUNCHES_JUDDER, Situation.MEANING].value
+LEAST_COUNT: Final = THRESHOLDS[Silence.LAUNCHES_JUDDER, Situation.ALWAYS].value
+LEAST_SWUNG_SHARE: Final = THRESHOLDS[Silence.SLIP_SWINGS, Situation.MEANING].value
+LEAST_SWUNG_COUNT: Final = THRESHOLDS[Silence.SLIP_SWINGS, Situation.BEGINNING].value
 LAUNCH_WINDOW: Final = 20  # launches of a clutch that are remembered
-LEAST_COUNT: Final = 2  # a single one may be a load that pulled the clutch open
-LEAST_SWUNG_COUNT: Final = 3  # windows of a stretch of slip: one may be a hole in the road
-LEAST_SWUNG_SHARE: Final = 0.04  # of its windows
 EVIDENCE_RATIO: Final = 10.0  # for each beyond the first: half of the launches of aged fluid, none of 102 of others
 MOST_EVIDENCE_RATIO: Final = 20.0  # drivelines differ: a witness that nobody has calibrated does not decide alone
 
@@ -186,9 +129,8 @@ class Launches:
         """Whether enough of them juddered to say something of the slope."""
         return sum(self.juddered) >= LEAST_COUNT
 
-    def text(self, counted: str) -> str:
-        what = "launches juddered" if counted == SHIFTS else f"{counted} shuddered"
-        return f"{sum(self.juddered)} of {len(self.juddered)} {what}"
+    def text(self, swung: str) -> str:
+        return f"{sum(self.juddered)} of {len(self.juddered)} {swung}"
 
     def probability_negative(self, by_friction: float) -> float:
         """Return the probability of a negative slope, given what friction alone says of it."""
@@ -231,10 +173,10 @@ class RunningScatter:
         weight = 1.0 / (STATED_WEIGHT + min(count, MEMORY_SHIFT_COUNT))
         return type(self)(
             variance_mu_c=_next_variance(
-                self.variance_mu_c, alone.mu_c - running.mu_c, alone.random_std_mu_c, running.random_std_mu_c, weight
+                self.variance_mu_c, alone.mu_c - running.mu_c, (alone.random_std_mu_c, running.random_std_mu_c), weight
             ),
             variance_mu_s=_next_variance(
-                self.variance_mu_s, alone.mu_s - running.mu_s, alone.random_std_mu_s, running.random_std_mu_s, weight
+                self.variance_mu_s, alone.mu_s - running.mu_s, (alone.random_std_mu_s, running.random_std_mu_s), weight
             ),
             shift_count=count,
         )
@@ -254,7 +196,9 @@ class RunningScatter:
         )
 
 
-def _next_variance(variance: float, distance: float, alone_std: float, running_std: float, weight: float) -> float:
+def _next_variance(variance: float, distance: float, stds: tuple[float, float], weight: float) -> float:
+    """Return the variance after a ``distance`` between two numbers with these deviations, of which the first counts."""
+    alone_std, running_std = stds
     share = alone_std**2 / (alone_std**2 + running_std**2)
     return variance + weight * (min(share * distance**2, CLIP_STD**2 * variance) - variance)
 
@@ -274,144 +218,250 @@ def nothing(silence: Silence, reason: str) -> Finding:
     return Finding(condition=Condition.NO_VERDICT, reason=reason, ground=silence)
 
 
-def decide(  # noqa: PLR0911 - each rule may end it
-    friction: FrictionEstimate,
-    since: FrictionTrend | None,
-    reference: FrictionCurve,
-    shift_count: int,
-    previous: Condition,
-    previous_cause: Cause | None,
-    launches: Launches,
-    common: NormalDist,
-    give_at: dict[Cause, float],
-    *,
-    counted: str = SHIFTS,
-) -> Finding:
-    """Return the verdict on a clutch.
+class Counted(NamedTuple):
+    """What the events of a clutch are called, and those of them that are a witness of its slope."""
 
-    Parameters
-    ----------
-    friction, since
-        Its running friction, and what became of it since the baseline; None: there is no baseline.
-    reference
-        The calibration's.
-    shift_count
-        Events that the running friction rests on.
-    previous, previous_cause
-        The last verdict, which stands until its cause has become unlikely.
-    launches
-        Which of its launches juddered.
-    common
-        Which part of the new fluid's margin is left by both clutches together.
-    give_at
-        From which probability of its cause on a bad verdict is given, where the margin is known.
-    counted
-        What the events are, in many; launches are then such events, too.
-    """
-    if shift_count < MIN_SHIFT_COUNT:
-        few, some = (Silence.FEW_SHIFTS, "shift(s)") if counted == SHIFTS else (Silence.FEW_EVENTS, counted)
-        return nothing(few, f"{shift_count} usable {some}, {MIN_SHIFT_COUNT} needed")
-    reference_margin = reference.mu_c - reference.mu_s
-    margin = NormalDist(friction.mu_c - friction.mu_s, friction.std_slope_s_rad * reference.stribeck_speed_rad_s)
-    level = NormalDist(friction.mu_c / reference.mu_c, friction.std_mu_c / reference.mu_c)
-    own_thin, common_thin = margin.cdf(WATCH_MARGIN_RATIO * reference_margin), common.cdf(WATCH_MARGIN_RATIO)
-    is_early = margin.stdev > EARLY_MARGIN_STD_RATIO * reference_margin
-    negative, thin = friction.probability_negative_slope, _thin(own_thin, common_thin, is_early=is_early)
-    if is_early and counted == SHIFTS:
-        negative, give_at = min(negative, common.cdf(0.0)), give_at | _EARLY_AT
-    facts = _facts(friction, level, since, f"{shift_count} {counted}")
-    facts += f", {launches.text(counted)}" if launches.speak else ""
-    change = {
-        Cause.SHUDDER: launches.probability_negative(negative),
-        Cause.LEVEL_LOW: level.cdf(CHANGE_LEVEL_RATIO),
-        Cause.LOSS_LARGE: _lost(since, CHANGE_LEVEL_RATIO),
-    }
-    if (bad := _standing(Condition.CHANGE_FLUID, change, give_at, previous, previous_cause, facts)) is not None:
+    some: str
+    many: str
+    few: Silence  # where there are too few
+    swung: str  # witnesses that speak against the slope
+    witnesses: str
+    swings: Silence  # where they contradict friction
+
+
+SHIFTS: Final = Counted(
+    "shift(s)", "shifts", Silence.FEW_SHIFTS, "launches juddered", "launches", Silence.LAUNCHES_JUDDER
+)
+SLIP_MINUTES: Final = Counted(
+    "minutes of slip", "minutes of slip", Silence.FEW_EVENTS, "minutes of slip shuddered", "minutes of slip",
+    Silence.SLIP_SWINGS,
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Course:
+    """What is known of a clutch beside its friction."""
+
+    counted: Counted
+    shift_count: int  # events that the running friction rests on
+    since: FrictionTrend | None  # what became of it since the baseline; None: there is no baseline
+    launches: Launches  # which of its launches juddered, or stretches of slip swung
+    previous: Condition  # the last verdict, which stands until its cause has become unlikely
+    previous_cause: Cause | None
+    situations: tuple[Situation, ...]  # that hold, whatever its friction
+
+    @property
+    def told_by(self) -> str:
+        """What friction is told by, and what launches say to it."""
+        text = f"{self.shift_count} {self.counted.many}"
+        return f"{text}, {self.launches.text(self.counted.swung)}" if self.launches.speak else text
+
+    def lost(self, level_ratio: float) -> float:
+        """Return the probability that mu_C has fallen below a share of the vehicle's own baseline."""
+        if (since := self.since) is None:
+            return 0.0
+        return NormalDist(1.0 + since.change_mu_c_ratio, max(since.std_change_mu_c_ratio, 1e-9)).cdf(level_ratio)
+
+
+class Case(Protocol):
+    """Friction of a clutch as far as it is known, and what speaks for each verdict."""
+
+    @property
+    def course(self) -> Course:
+        """What is known beside it."""
+
+    @property
+    def facts(self) -> str:
+        """All of it in words."""
+
+    @property
+    def situations(self) -> tuple[Situation, ...]:
+        """What the clutch is judged in."""
+
+    def change(self) -> Mapping[Cause, float]:
+        """Return the probability of each cause to change the fluid."""
+
+    def unknown(self) -> Finding | None:
+        """Return why nothing more can be said; None: something can."""
+
+    def watch(self) -> Mapping[Cause, float]:
+        """Return the probability of each cause to watch the fluid."""
+
+    def without_cause(self, watch: Mapping[Cause, float]) -> Finding:
+        """Return what is said where no cause is likely enough to ``watch``."""
+
+
+def decide(case: Case) -> Finding:
+    """Return the verdict on a clutch: the rules of docs/verdict.md in their order."""
+    count, counted = case.course.shift_count, case.course.counted
+    if count < MIN_SHIFT_COUNT:
+        return nothing(counted.few, f"{count} usable {counted.some}, {MIN_SHIFT_COUNT} needed")
+    if (bad := _standing(Condition.CHANGE_FLUID, case.change(), case)) is not None:
         return bad
-    if margin.stdev > MAX_MARGIN_STD_RATIO * reference_margin:
-        return nothing(Silence.MARGIN_UNSURE, f"mu_C - mu_S known to {margin.stdev:.4f} only: {facts}")
-    watch = {
-        Cause.MARGIN_THIN: thin,
-        Cause.LEVEL_FALLING: level.cdf(WATCH_LEVEL_RATIO),
-        Cause.LOSS_BEGUN: _lost(since, WATCH_LEVEL_RATIO),
-    }
-    if (bad := _standing(Condition.WATCH, watch, give_at, previous, previous_cause, facts)) is not None:
-        return bad
-    is_sure = margin.stdev <= SURE_MARGIN_STD_RATIO * reference_margin
-    if (doubt := _doubt(watch, own_thin, common_thin, previous, is_sure=is_sure)) is not None:
-        return nothing(Silence.MARGIN_UNSURE, f"too early to say, {doubt[0]} ({likely(doubt[1])}): {facts}")
-    if launches.speak:
-        why, what = (Silence.LAUNCHES_JUDDER, "launches") if counted == SHIFTS else (Silence.SLIP_SWINGS, counted)
-        return nothing(why, f"its {what} contradict its friction: {facts}")
-    return Finding(condition=Condition.GOOD, reason=facts, ground=None, probability=1.0 - max(watch.values()))
+    if (unknown := case.unknown()) is not None:
+        return unknown
+    watch = case.watch()
+    bad = _standing(Condition.WATCH, watch, case)
+    return case.without_cause(watch) if bad is None else bad
 
 
-def _thin(own: float, common: float, *, is_early: bool) -> float:
-    """Return the probability of a thin margin by that of a clutch and of both: one may be misread, both rarely are."""
-    if own > 0.5:  # then both together tell better
-        return common if is_early else max(own, common)
-    return min(own, common) if is_early else own
+def _standing(condition: Condition, causes: Mapping[Cause, float], case: Case) -> Finding | None:
+    """Return a bad verdict by its likeliest cause, or by that for which it was given; None: no cause is likely."""
+    course, give_at = case.course, given_at(*case.situations)
+    given = [cause for cause, probability in causes.items() if probability >= give_at[cause]]
+    likeliest = max(given or causes, key=causes.__getitem__)
+    cause = likeliest if given or course.previous_cause is None else course.previous_cause
+    probability = causes.get(cause, 0.0)
+    if not given and (course.previous is not condition or probability < LEAVE_PROBABILITY):
+        return None
+    reason = f"{cause} ({likely(probability)}): {case.facts}"
+    return Finding(condition=condition, reason=reason, ground=cause, probability=probability)
 
 
-def _doubt(
-    watch: Mapping[Cause, float], own_thin: float, common_thin: float, previous: Condition, *, is_sure: bool
-) -> tuple[Cause, float] | None:
-    """Return a cause that is too likely for a fluid to be called good, by its own clutch or by both together."""
-    may_be_thin = own_thin > (LEAVE_PROBABILITY if previous is Condition.GOOD else THIN_PROBABILITY)
-    may_be_thin |= common_thin > COMMON_THIN_PROBABILITY and previous is not Condition.GOOD
-    if may_be_thin and not is_sure:
-        return Cause.MARGIN_THIN, max(own_thin, common_thin)
-    likeliest = max(watch.items(), key=itemgetter(1))
-    return likeliest if likeliest[1] >= WATCH_PROBABILITY else None
+@dataclass(frozen=True, slots=True, kw_only=True)
+class KnownLevel:
+    """A clutch whose level of friction is known, as torque is measured; `of` makes one."""
+
+    course: Course
+    situations: tuple[Situation, ...]
+    friction: FrictionEstimate
+    level: NormalDist  # mu_C over that of new fluid
+    margin: NormalDist  # mu_C - mu_S
+    new_margin: float  # of new fluid
+    common: NormalDist  # part of new fluid's margin that is left by both clutches together
+    own_thin: float  # probability that less than half of the margin is left, by this clutch
+    common_thin: float  # likewise by both together
+
+    @classmethod
+    def of(cls, friction: FrictionEstimate, reference: FrictionCurve, common: NormalDist, course: Course) -> Self:
+        """Return the case of running friction; ``common`` is the part of new fluid's margin left by both clutches."""
+        new_margin = reference.mu_c - reference.mu_s
+        margin = NormalDist(friction.mu_c - friction.mu_s, friction.std_slope_s_rad * reference.stribeck_speed_rad_s)
+        level = NormalDist(friction.mu_c / reference.mu_c, friction.std_mu_c / reference.mu_c)
+        is_early = margin.stdev > EARLY_MARGIN_STD_RATIO * new_margin
+        return cls(
+            course=course,
+            situations=(*course.situations, Situation.EARLY) if is_early else course.situations,
+            friction=friction,
+            level=level,
+            margin=margin,
+            new_margin=new_margin,
+            common=common,
+            own_thin=margin.cdf(WATCH_MARGIN_RATIO * new_margin),
+            common_thin=common.cdf(WATCH_MARGIN_RATIO),
+        )
+
+    @property
+    def facts(self) -> str:
+        negative, since = likely(self.friction.probability_negative_slope), self.course.since
+        level = plus_minus(self.level.mean, self.level.stdev, "{:.0f}", scale=_PERCENT)
+        changed = () if since is None else (_changed(since),)
+        return ", ".join(
+            (f"a negative mu-v slope is {negative}", f"mu_C {level} % of new", *changed, self.course.told_by)
+        )
+
+    def change(self) -> Mapping[Cause, float]:
+        negative = self.friction.probability_negative_slope
+        if Situation.EARLY in self.situations:  # one clutch may be misread
+            negative = min(negative, self.common.cdf(0.0))
+        return {
+            Cause.SHUDDER: self.course.launches.probability_negative(negative),
+            Cause.LEVEL_LOW: self.level.cdf(CHANGE_LEVEL_RATIO),
+            Cause.LOSS_LARGE: self.course.lost(CHANGE_LEVEL_RATIO),
+        }
+
+    def unknown(self) -> Finding | None:
+        if self.margin.stdev <= MAX_MARGIN_STD_RATIO * self.new_margin:
+            return None
+        return nothing(Silence.MARGIN_UNSURE, f"mu_C - mu_S known to {self.margin.stdev:.4f} only: {self.facts}")
+
+    def watch(self) -> Mapping[Cause, float]:
+        return {
+            Cause.MARGIN_THIN: self._thin(),
+            Cause.LEVEL_FALLING: self.level.cdf(WATCH_LEVEL_RATIO),
+            Cause.LOSS_BEGUN: self.course.lost(WATCH_LEVEL_RATIO),
+        }
+
+    def without_cause(self, watch: Mapping[Cause, float]) -> Finding:
+        if (doubt := self._doubt(watch)) is not None:
+            return nothing(Silence.MARGIN_UNSURE, f"too early to say, {doubt[0]} ({likely(doubt[1])}): {self.facts}")
+        if self.course.launches.speak:
+            counted = self.course.counted
+            return nothing(counted.swings, f"its {counted.witnesses} contradict its friction: {self.facts}")
+        sound = 1.0 - max(watch.values())
+        return Finding(condition=Condition.GOOD, reason=self.facts, ground=None, probability=sound)
+
+    def _thin(self) -> float:
+        """Return the probability of a thin margin by that of a clutch and of both: one may be misread, both rarely."""
+        own, common, is_early = self.own_thin, self.common_thin, Situation.EARLY in self.situations
+        if own > 0.5:  # then both together tell better
+            return common if is_early else max(own, common)
+        return min(own, common) if is_early else own
+
+    def _doubt(self, watch: Mapping[Cause, float]) -> tuple[Cause, float] | None:
+        """Return a cause that is too likely for a fluid to be called good, by its own clutch or by both together."""
+        was_good = self.course.previous is Condition.GOOD
+        own_most = THRESHOLDS[Cause.MARGIN_THIN, Situation.STILL_GOOD if was_good else Situation.UNSURE_BEFORE_GOOD]
+        common_most = THRESHOLDS[Cause.MARGIN_THIN, Situation.BOTH_BEFORE_GOOD]
+        may_be_thin = self.own_thin > own_most.value or (self.common_thin > common_most.value and not was_good)
+        if may_be_thin and self.margin.stdev > SURE_MARGIN_STD_RATIO * self.new_margin:
+            return Cause.MARGIN_THIN, max(self.own_thin, self.common_thin)
+        likeliest = max(watch.items(), key=itemgetter(1))
+        return likeliest if likeliest[1] >= THRESHOLDS[likeliest[0], Situation.BEFORE_GOOD].value else None
 
 
-def decide_up_to_scale(
-    slope: FrictionSlope,
-    since: FrictionTrend | None,
-    reference: FrictionCurve,
-    shift_count: int,
-    previous: Condition,
-    previous_cause: Cause | None,
-    launches: Launches,
-    give_at: dict[Cause, float],
-) -> Finding:
-    """Return the verdict on a clutch whose level of friction is not known; arguments as of `decide`.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class KnownUpToScale:
+    """A clutch whose level of friction is not known: slope and change are told without it, not that it is sound."""
 
-    Slope and change are told without it. That friction is low, or sound, is not.
-    """
-    if shift_count < MIN_SHIFT_COUNT:
-        return nothing(Silence.FEW_SHIFTS, f"{shift_count} usable shift(s), {MIN_SHIFT_COUNT} needed")
-    facts = ", ".join((
-        f"a negative mu-v slope is {likely(slope.probability_negative)}",
-        f"mu_S {plus_minus(slope.mu_s_ratio, slope.std_mu_s_ratio, '{:.0f}', scale=100.0)} % of mu_C",
-        *(() if since is None else (_changed(since),)),
-        f"{shift_count} shifts",
-        *((launches.text(SHIFTS),) if launches.speak else ()),
-    ))  # fmt: skip
-    std_ratio = slope.std_mu_s_ratio / (margin_ratio := 1.0 - reference.mu_s / reference.mu_c)
-    falls = slope.probability_negative if std_ratio <= MAX_SLOPE_STD_RATIO else 0.0
-    change = {Cause.SHUDDER: launches.probability_negative(falls), Cause.LOSS_LARGE: _lost(since, CHANGE_LEVEL_RATIO)}
-    if std_ratio > EARLY_MARGIN_STD_RATIO:
-        give_at = {cause: max(at, _EARLY_AT.get(cause, at)) for cause, at in give_at.items()}
-    if (bad := _standing(Condition.CHANGE_FLUID, change, give_at, previous, previous_cause, facts)) is not None:
-        return bad
-    watch = {Cause.LOSS_BEGUN: _lost(since, WATCH_LEVEL_RATIO)}
-    if std_ratio <= MAX_MARGIN_STD_RATIO:
-        margin = NormalDist(1.0 - slope.mu_s_ratio, slope.std_mu_s_ratio)
-        watch[Cause.MARGIN_THIN] = margin.cdf(WATCH_MARGIN_RATIO * margin_ratio)
-    if (bad := _standing(Condition.WATCH, watch, give_at, previous, previous_cause, facts)) is not None:
-        return bad
-    return nothing(Silence.LEVEL_UNKNOWN, f"engine torque is {slope.torque.replace('_', ' ')}, not measured: {facts}")
+    course: Course
+    situations: tuple[Situation, ...]
+    slope: FrictionSlope
+    new_margin_ratio: float  # of new fluid, over its mu_C
+    std_ratio: float  # deviation of the margin over that of new fluid
 
+    @classmethod
+    def of(cls, slope: FrictionSlope, reference: FrictionCurve, course: Course) -> Self:
+        """Return the case of a slope that no scale moves."""
+        std_ratio = slope.std_mu_s_ratio / (new_margin_ratio := 1.0 - reference.mu_s / reference.mu_c)
+        return cls(
+            course=course,
+            situations=(*course.situations, *((Situation.EARLY,) if std_ratio > EARLY_MARGIN_STD_RATIO else ())),
+            slope=slope,
+            new_margin_ratio=new_margin_ratio,
+            std_ratio=std_ratio,
+        )
 
-def _facts(friction: FrictionEstimate, level: NormalDist, since: FrictionTrend | None, told_by: str) -> str:
-    facts = (
-        f"a negative mu-v slope is {likely(friction.probability_negative_slope)}, "
-        f"mu_C {plus_minus(level.mean, level.stdev, '{:.0f}', scale=100.0)} % of new"
-    )
-    if since is not None:
-        facts += f", {_changed(since)}"
-    return f"{facts}, {told_by}"
+    @property
+    def facts(self) -> str:
+        negative, since = likely(self.slope.probability_negative), self.course.since
+        mu_s = plus_minus(self.slope.mu_s_ratio, self.slope.std_mu_s_ratio, "{:.0f}", scale=_PERCENT)
+        changed = () if since is None else (_changed(since),)
+        return ", ".join(
+            (f"a negative mu-v slope is {negative}", f"mu_S {mu_s} % of mu_C", *changed, self.course.told_by)
+        )
+
+    def change(self) -> Mapping[Cause, float]:
+        falls = self.slope.probability_negative if self.std_ratio <= MAX_SLOPE_STD_RATIO else 0.0
+        return {
+            Cause.SHUDDER: self.course.launches.probability_negative(falls),
+            Cause.LOSS_LARGE: self.course.lost(CHANGE_LEVEL_RATIO),
+        }
+
+    def unknown(self) -> Finding | None:
+        """Return None: that friction is falling is told however badly the margin is known."""
+        return None
+
+    def watch(self) -> Mapping[Cause, float]:
+        lost = {Cause.LOSS_BEGUN: self.course.lost(WATCH_LEVEL_RATIO)}
+        if self.std_ratio > MAX_MARGIN_STD_RATIO:
+            return lost
+        margin = NormalDist(1.0 - self.slope.mu_s_ratio, self.slope.std_mu_s_ratio)
+        return {**lost, Cause.MARGIN_THIN: margin.cdf(WATCH_MARGIN_RATIO * self.new_margin_ratio)}
+
+    def without_cause(self, watch: Mapping[Cause, float]) -> Finding:  # noqa: ARG002 - nothing makes it good
+        source = self.slope.torque.replace("_", " ")
+        return nothing(Silence.LEVEL_UNKNOWN, f"engine torque is {source}, not measured: {self.facts}")
 
 
 def _changed(since: FrictionTrend) -> str:
@@ -424,28 +474,3 @@ def likely(probability: float) -> str:
     least, most = _STEP, 1.0 - _STEP
     bound = "under " if probability < 0.5 * least else "over " if probability > 1.0 - 0.5 * least else ""
     return f"{bound}{_PERCENT * min(max(probability, least), most):.1f} % likely"
-
-
-def _lost(since: FrictionTrend | None, level_ratio: float) -> float:
-    """Return the probability that mu_C has fallen below a share of the vehicle's own baseline."""
-    if since is None:
-        return 0.0
-    return NormalDist(1.0 + since.change_mu_c_ratio, max(since.std_change_mu_c_ratio, 1e-9)).cdf(level_ratio)
-
-
-def _standing(
-    condition: Condition,
-    causes: Mapping[Cause, float],
-    give_at: dict[Cause, float],
-    previous: Condition,
-    previous_cause: Cause | None,
-    facts: str,
-) -> Finding | None:
-    """Return a bad verdict by its likeliest cause, or by that for which it was given; None: no cause is likely."""
-    given = [cause for cause, probability in causes.items() if probability >= give_at[cause]]
-    cause = max(given or causes, key=causes.__getitem__) if given or previous_cause is None else previous_cause
-    probability = causes.get(cause, 0.0)
-    if not given and (previous is not condition or probability < LEAVE_PROBABILITY):
-        return None
-    reason = f"{cause} ({likely(probability)}): {facts}"
-    return Finding(condition=condition, reason=reason, ground=cause, probability=probability)

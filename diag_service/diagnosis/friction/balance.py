@@ -29,6 +29,7 @@ from diag_service.diagnosis.friction.drives import (
     PRESSURE_DEGREE,
     SLIP_DEGREE,
     Blocks,
+    RowRange,
     SlipWindow,
     Spread,
     Weights,
@@ -121,6 +122,8 @@ class Balance:
         Of the vehicle at these parameters.
     at : (PARAMETER_COUNT,) array
         The parameters.
+    tracks
+        The films that these drives and laws make, where they are known.
 
     Attributes
     ----------
@@ -141,6 +144,7 @@ class Balance:
         measured: tuple[PressureDrive, PressureDrive],
         laws: VehicleLaws,
         at: FloatArray,
+        tracks: tuple[FilmTrack, FilmTrack] | None = None,
     ) -> None:
         self.signals = signals
         self.measured = measured
@@ -156,7 +160,7 @@ class Balance:
         )
         counts = [max(3, min(MAX_MOMENT_COUNT, count // SAMPLES_PER_MOMENT)) for count in sample_counts]
         self.weights = sines(window, counts)
-        self.tracks = integrate_films(measured, laws.packs)
+        self.tracks = integrate_films(measured, laws.packs) if tracks is None else tracks
         self.film_steps = [FILM_MOBILITY_LOG * cold for cold in coldness(self.tracks, window.slip_rows)]
         self.final_clutch_k = self.tracks[0].final_clutch_k, self.tracks[1].final_clutch_k
         self.torques = Torques.of(measured, self.tracks, self.tracks, laws.packs, self.weights.rows)
@@ -167,6 +171,10 @@ class Balance:
             - side.hub_damping_nms_rad * (self.weights.value @ hub_rad_s)
             - sum([moments.viscous for moments in self._moments])
         )
+
+    def within(self, pieces: tuple[RowRange, ...]) -> "Balance":
+        """Return the balance on some pieces of its window: its films stay."""
+        return Balance(self.signals, SlipWindow.of(pieces), self.measured, self.laws, self.at, self.tracks)
 
     def residual_nms(self) -> FloatArray:
         """Return by how much the impulses do not balance [N m s], shape (k,)."""

@@ -24,7 +24,6 @@ from diag_service.diagnosis.friction.balance import (
 )
 from diag_service.diagnosis.friction.drives import (
     PackTemperatures,
-    SlipWindow,
     measured_drives,
     on_other_grid,
     rows_in_slip,
@@ -86,7 +85,7 @@ def telling_part(balance: Balance, clutch: int) -> Balance | None:
         return balance
     if all(piece.is_rest for piece in telling):
         return None
-    return Balance(balance.signals, SlipWindow.of(telling), balance.measured, balance.laws, balance.at)
+    return balance.within(telling)
 
 
 ALGORITHM_VERSION = "torque-impulse-23"
@@ -163,8 +162,8 @@ def linearise(  # noqa: PLR0911 - each stage may find that it ends there
         is_too_few = 0 < row_count < noise.least_count
         return NotLinearised(Reason.FEW_SAMPLES, row_count) if is_too_few else NotLinearised(Reason.NO_SLIP_WINDOW)
     window, clutch = window_and_clutch
-    balance = telling_part(Balance(signals, window, drives, laws, at), clutch)
-    if balance is None:
+    whole = Balance(signals, window, drives, laws, at)
+    if (balance := telling_part(whole, clutch) if near is None else whole) is None:
         return NotLinearised(Reason.NO_SLIP_WINDOW)
     if balance.sample_count < noise.least_count:
         return NotLinearised(Reason.FEW_SAMPLES, balance.sample_count)
@@ -210,6 +209,15 @@ def iterate(
             break
         last = following
     return last
+
+
+class AtPosterior(NamedTuple):
+    """An event linearised at the posterior, and what is believed without it and with it."""
+
+    linearisation: Linearisation
+    earlier: Posterior
+    judged: Posterior
+    is_agreed: bool  # of all other events the same is believed
 
 
 class Estimator:
@@ -262,27 +270,25 @@ class Estimator:
         result = self._linearised_at_posterior(samples, state, first, before, type_)
         if result is None:  # at the posterior the film carries too much
             return state, _unobserved(event, NotLinearised(Reason.NO_SLIP_WINDOW), against)
-        linearisation, earlier, judged = result
+        linearisation = result.linearisation
         packs = PackTemperatures(clutch_k=linearisation.balance.final_clutch_k, at_ns=event.end_ns)
         is_misfit = _is_misfit(type_, fuse(type_, linearisation.evidence), linearisation.evidence.count)
         if is_misfit or against:
             state = replace(state, packs=packs) if is_misfit else state
             estimate = self._described(event, linearisation, state, fuse(before, linearisation.evidence))
             return state, _rejected(estimate, *((Reason.MISFIT,) if is_misfit else against))
-        return self._judged(event, linearisation, earlier, replace(judged, packs=packs))
+        return self._judged(event, result, packs)
 
-    def _judged(
-        self, event: Event, linearisation: Linearisation, earlier: Posterior, state: Posterior
-    ) -> tuple[Posterior, ShiftEstimate]:
+    def _judged(self, event: Event, result: AtPosterior, packs: PackTemperatures) -> tuple[Posterior, ShiftEstimate]:
         """Return what is known after an event, and its estimate: used or left out, and why."""
-        is_agreed = state.agrees_with(earlier)
-        others = earlier.fusion.knowledge if is_agreed else state.without(len(state.recent) - 1)
+        linearisation, earlier, state = result.linearisation, result.earlier, replace(result.judged, packs=packs)
+        others = earlier.fusion.knowledge if result.is_agreed else state.without(len(state.recent) - 1)
         before = self._unknown_friction(others, linearisation.clutch)
         alone = fuse(before, linearisation.evidence)
         estimate = self._described(event, linearisation, state, alone)
-        if not is_agreed:
+        if not result.is_agreed:
             estimate = replace(estimate, revisions=tuple(self._revisions(earlier, state)))
-        if state.is_used[-1]:
+        if state.weights[-1]:
             return state, estimate
         reason = _why_left_out(before, alone, linearisation.evidence.count)
         if reason is not Reason.NOT_UPDATED:
@@ -327,8 +333,8 @@ class Estimator:
 
     def _linearised_at_posterior(
         self, samples: EventSamples, state: Posterior, first: Linearisation, before: Knowledge, type_: Knowledge
-    ) -> tuple[Linearisation, Posterior, Posterior] | None:
-        """Return the event linearised at the posterior, the state without it, and the state with it.
+    ) -> AtPosterior | None:
+        """Return the event linearised at the posterior, with the states without it and with it.
 
         None if it tells nothing of friction there.
 
@@ -350,15 +356,16 @@ class Estimator:
 
         def posterior_as_judged(linearisation: Linearisation) -> Knowledge:
             judged = state.with_event(_judged_event(event, linearisation), earlier)
-            return (judged.fusion if judged.is_used[-1] else fuse(before, linearisation.evidence)).knowledge
+            return (judged.fusion if judged.weights[-1] else fuse(before, linearisation.evidence)).knowledge
 
         if (linearisation := iterate(first, linearised, posterior_if_it_fits, std)) is not None:
             judged = state.with_event(_judged_event(event, linearisation), earlier)
-            if judged.is_used[-1] and judged.agrees_with(earlier):
-                return linearisation, earlier, judged
+            if judged.weights[-1] and judged.agrees_with(earlier):
+                return AtPosterior(linearisation, earlier, judged, is_agreed=True)
         if (linearisation := iterate(first, linearised, posterior_as_judged, std)) is None:
             return None
-        return linearisation, earlier, state.with_event(_judged_event(event, linearisation), earlier)
+        judged = state.with_event(_judged_event(event, linearisation), earlier)
+        return AtPosterior(linearisation, earlier, judged, is_agreed=judged.agrees_with(earlier))
 
     def _described(self, event: Event, linearisation: Linearisation, state: Posterior, alone: Fusion) -> ShiftEstimate:
         """Return the estimate of an event alone, with the prior of all but the friction of its clutch."""

@@ -171,7 +171,7 @@ class Measurement:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Evidence:
-    """Chi-square of residuals: ``constant - 2 * vector @ x + x @ matrix @ x``."""
+    """Chi-square of residuals, ``constant - 2 * vector @ x + x @ matrix @ x``; docs/model.md, (22) and (23)."""
 
     matrix: FloatArray  # (PARAMETER_COUNT, PARAMETER_COUNT), of information
     vector: FloatArray  # (PARAMETER_COUNT,)
@@ -185,14 +185,15 @@ class Evidence:
         return cls(matrix=empty, vector=np.zeros(PARAMETER_COUNT), constant=0.0, count=0)
 
     @classmethod
-    def sum(cls, some: Sequence[Self]) -> Self:
-        """Return the evidence of some events together."""
+    def sum(cls, some: Sequence[Self], weights: Sequence[float] | None = None) -> Self:
+        """Return the evidence of some events together, each residual with the weight of its event, by default 1."""
         if not some:
             return cls.none()
+        weighted = list(zip(some, [1.0] * len(some) if weights is None else weights, strict=True))
         return cls(
-            matrix=np.add.reduce([evidence.matrix for evidence in some]),
-            vector=np.add.reduce([evidence.vector for evidence in some]),
-            constant=sum([evidence.constant for evidence in some]),
+            matrix=np.add.reduce([weight * evidence.matrix for evidence, weight in weighted]),
+            vector=np.add.reduce([weight * evidence.vector for evidence, weight in weighted]),
+            constant=sum([weight * evidence.constant for evidence, weight in weighted]),
             count=sum([evidence.count for evidence in some]),
         )
 
@@ -224,9 +225,9 @@ class Evidence:
         joint, count = np.zeros((PARAMETER_COUNT + 1, PARAMETER_COUNT + 1)), 0
         for measurement in measurements:
             sides = np.column_stack([measurement.jacobian, measurement.residual])
-            joint += sides.T @ np.linalg.solve(measurement.covariance, sides)
+            joint += sides.T @ np.linalg.solve(measurement.covariance, sides)  # (22)
             if measurement.overlap is not None:
-                joint[:-1, -1] -= measurement.overlap
+                joint[:-1, -1] -= measurement.overlap  # (31)
             count += len(measurement.residual)
         matrix, gradient = 0.5 * (joint + joint.T)[:-1, :-1], joint[:-1, -1]  # but for rounding it is symmetric
         vector = matrix @ at + gradient
@@ -235,7 +236,7 @@ class Evidence:
             matrix += readings.matrix
             vector += readings.vector
             constant, count = constant + readings.constant, count + readings.count
-        if variance is not None:  # inv(inv(matrix) + diag(variance)) by Woodbury's identity: matrix may be singular
+        if variance is not None:  # (19b) by Woodbury's identity: matrix may be singular
             std = np.sqrt(variance)
             sides = std[:, None] * np.column_stack([matrix, vector])
             loss = sides.T @ np.linalg.solve(np.eye(len(std)) + sides[:, :-1] * std, sides)
@@ -337,7 +338,7 @@ class Fusion:
 
 
 def fuse(earlier: Knowledge, evidence: Evidence) -> Fusion:
-    """Return the posterior of ``earlier`` and evidence; a parameter without variance stays as it is."""
+    """Return the posterior of ``earlier`` and evidence, (24); a parameter without variance stays as it is."""
     if not evidence.count:  # then all parameters stay, to the last digit
         return Fusion(knowledge=earlier, chi_square=0.0, distance=0.0, information=evidence.matrix)
     std = np.sqrt(earlier.covariance.diagonal())
@@ -374,7 +375,7 @@ def is_cheap(cost: float, evidences: Sequence[Evidence]) -> bool:
 
 
 def selected(base: Knowledge, evidences: Sequence[Evidence]) -> Selection:
-    """Return the cheapest selection of events with a prior."""
+    """Return the cheapest selection of events with a prior; docs/model.md, (25)."""
     search = _search(base, evidences)
     selection = _improved(search, np.ones(len(evidences), dtype=bool))
     if is_cheap(selection.cost, evidences):
@@ -497,8 +498,8 @@ def _weighted(base: Knowledge, events: Sequence[JudgedEvent], judged: Judgement)
         rows, known = np.flatnonzero(is_used).tolist(), judged.fusion.knowledge
         apart = np.array([step_since(known, events[row].evidence, events[row].clutch)[0] for row in rows])
         apart /= min(max(float(np.median(apart)) / _MEDIAN_BY_CHANCE, LEAST_SCATTER), 1.0)
-        if apart.max() < ODD_COST:
-            weights = np.zeros(len(events))
+        if apart.max() < ODD_COST:  # (25a)
+            weights = np.zeros(len(events))  # (25b)
             weights[rows] = np.minimum((ODD_COST - apart) / (ODD_COST - SOUND_COST), 1.0)
             return judged.weighted(base, events, weights.tolist())
         is_used[rows[apart.argmax()]] = False
@@ -566,7 +567,9 @@ def _with_change(base: Knowledge, events: Sequence[JudgedEvent], first: int, ste
 
 
 def together(events: Sequence[JudgedEvent], weights: Sequence[float]) -> Evidence:
-    return Evidence.sum([one.evidence.weighted(weight) for one, weight in zip(events, weights, strict=False) if weight])
+    """Return the evidence of some events, each residual with the weight of its event; those without weight are none."""
+    used = [(one.evidence, weight) for one, weight in zip(events, weights, strict=False) if weight]
+    return Evidence.sum([evidence for evidence, _ in used], [weight for _, weight in used])
 
 
 def after_change(known: Knowledge, clutch: int) -> Knowledge:

@@ -10,7 +10,7 @@ module computes these values with their standard deviations.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from statistics import NormalDist
 from typing import Final, NamedTuple, Self
 
@@ -76,7 +76,7 @@ class Baseline:
 
     def after(self, error_transition: FloatArray) -> Self:
         """Return the baseline after news that leave this of the earlier error."""
-        return replace(self, cross=error_transition @ self.cross)
+        return replace(self, cross=error_transition @ self.cross)  # (36)
 
 
 MOST_APART: Final = 9.0  # chi-square of two numbers, 1 % by chance: what is beyond is left out, or a step
@@ -114,7 +114,7 @@ OFFSET_DRIFT_NM: Final = 0.005  # per event: warm-up of the torque model
 PRESSURE_DRIFT_PA: Final = 5.0  # per event: warm-up of the pressure sensors
 VISCOSITY_DRIFT_RATIO: Final = 0.01  # per event: an oil that warms up follows a law of its own
 OPEN_DRAG_DRIFT_LOG: Final = 0.05  # per event: likewise
-STATE_FORMAT: Final = 4
+STATE_FORMAT: Final = 4  # of what is stored
 _LOWER: Final = np.tril_indices(PARAMETER_COUNT)
 _DRIFT: Final = np.zeros(PARAMETER_COUNT)  # variance that each event adds
 _DRIFT[: State.TORQUE_OFFSET] = FRICTION_DRIFT_STD**2
@@ -136,8 +136,7 @@ class Posterior:
     baselines: tuple[Baseline | None, Baseline | None] = (None, None)  # against the base
     packs: PackTemperatures | None = None
     prior: Prior
-    apart: float = 0.0  # chi-square that events would save, older ones faded, had each a friction of its own
-    apart_by_chance: float = 0.0  # likewise, were deviations as stated
+    scatter: EventScatter = field(default_factory=EventScatter)
     may_begin_again: bool = True  # no event is part of the base yet, and it has not begun again before
     torque: TorqueSource = TorqueSource.MEASURED
     torque_gain: float = 1.0  # of the calibration: the parameters say by how much it is wrong
@@ -174,9 +173,8 @@ class Posterior:
     def stated(self) -> Knowledge:
         """What is known, its covariance scaled by the scatter of events, its curve its own; docs/model.md, (38)."""
         known = self.fusion.knowledge
-        if self.apart_by_chance:
-            ratio = EventScatter(self.apart, self.apart_by_chance).ratio
-            known = Knowledge(mean=known.mean, covariance=self.prior.stated(known.covariance, ratio))
+        if self.scatter.by_chance:
+            known = Knowledge(mean=known.mean, covariance=self.prior.stated(known.covariance, self.scatter.ratio))
         return self.prior.with_own_laws(known)
 
     @property
@@ -192,9 +190,7 @@ class Posterior:
     def begun_again(self) -> "Posterior":
         """Return the state before the first event, which does not begin again a second time."""
         nothing = fuse(self.base, Evidence.none())
-        return replace(
-            self, recent=(), weights=(), fusion=nothing, apart=0.0, apart_by_chance=0.0, may_begin_again=False
-        )
+        return replace(self, recent=(), weights=(), fusion=nothing, scatter=EventScatter(), may_begin_again=False)
 
     def without(self, place: int) -> Knowledge:
         """Return the posterior without one of the recent events."""
@@ -232,9 +228,7 @@ class Posterior:
             state = state if is_sure else _judged(state)
         if not any(state.weights[-1:]):
             return state
-        scatter = EventScatter(self.apart, self.apart_by_chance)
-        scatter = scatter.with_event(state.fusion.knowledge, event, state.weights[-1])
-        return replace(state, apart=scatter.apart, apart_by_chance=scatter.by_chance)
+        return replace(state, scatter=self.scatter.with_event(state.fusion.knowledge, event, state.weights[-1]))
 
     def with_oldest_folded(self) -> "Posterior":
         """Return the same with room for one more event: of sixteen the oldest is in the base, if it belongs as yet."""
@@ -242,7 +236,9 @@ class Posterior:
 
     def agrees_with(self, earlier: "Posterior") -> bool:
         """Return whether of all but the newest event the same is believed as in ``earlier``, without that event."""
-        return self.base is earlier.base and self.is_used[:-1] == earlier.is_used
+        if self.base is not earlier.base or len(self.weights) != len(earlier.weights) + 1:
+            return False
+        return all((now > 0.0) == (then > 0.0) for now, then in zip(self.weights, earlier.weights, strict=False))
 
     def with_new_fluid(self) -> "Posterior":
         """Return the state after a fluid fill: friction is unknown again, and its baseline with it; the rest stays."""
@@ -253,6 +249,7 @@ class Posterior:
     def to_json(self) -> JsonObject:
         """Return the state as JSON-ready values; floats survive the round trip bit by bit."""
         plain = to_plain(replace(self, recent=()))
+        plain |= {"apart": self.scatter.apart, "apart_by_chance": self.scatter.by_chance}
         stored = {name: plain[name] for name in _STORED}
         return {"format": STATE_FORMAT, "recent": [_stored(event) for event in self.recent]} | stored
 
@@ -290,7 +287,8 @@ class Posterior:
         kept = judge(stored.base, recent).is_used if stored.weights is None else stored.weights
         if len(kept) != len(recent) or not all(0.0 <= weight <= 1.0 for weight in kept):
             raise ValueError("not a running state: bad weights of recent events")
-        told = {name: getattr(stored, name) for name in _STORED} | {"weights": tuple(map(float, kept))}
+        told = {name: getattr(stored, name) for name in _STORED if not name.startswith("apart")}
+        told |= {"weights": tuple(map(float, kept)), "scatter": EventScatter(stored.apart, stored.apart_by_chance)}
         return _together(replace(blank, recent=recent, **told))
 
 
@@ -405,6 +403,7 @@ MODEL_STD_RATIO = 0.004  # by which a real clutch differs from the law alike in 
 MODELLED_STD_RATIO = 0.05  # likewise of a modelled torque: what goes with it does so along a curve, not a line
 _GAIN = STATE_COUNT + Considered.TORQUE_GAIN
 _WIDTH = STATE_COUNT + Considered.STRIBECK_SPEED
+_DIFFERENCE: Final = np.array([1.0, -1.0])  # of mu_c and mu_s
 _AREAS = (STATE_COUNT + Considered.PISTON_AREA1, STATE_COUNT + Considered.PISTON_AREA2)
 _FRICTION_AND_GAIN = np.ix_([*range(FRICTION_COUNT), _GAIN], [*range(FRICTION_COUNT), _GAIN])  # of a covariance
 
@@ -412,35 +411,21 @@ _FRICTION_AND_GAIN = np.ix_([*range(FRICTION_COUNT), _GAIN], [*range(FRICTION_CO
 class _Pair(NamedTuple):
     """Both friction coefficients of a clutch, times a factor, with their covariance."""
 
-    mu_c: float
-    mu_s: float
-    variance_c: float
-    variance_s: float
-    covariance: float
-    correlation: float  # of the errors of both
+    mu: FloatArray  # (2,) mu_c, mu_s
+    covariance: FloatArray  # (2, 2)
 
     @classmethod
-    def of(cls, mean: FloatArray, covariance: FloatArray, clutch: int, place: int, factor: float, slope: float) -> Self:
-        """Return them, times a factor that has some slope over the parameter in this place."""
-        rows = FRICTION_ROWS[clutch - 1]
-        own_c, own_s = mean[rows].tolist()
-        (c_c, c_s), (_, s_s) = covariance[rows, rows].tolist()
-        (c_f, s_f), f_f = covariance[rows, place].tolist(), float(covariance[place, place])
-        by_c, by_s = slope * own_c, slope * own_s
-        mu_c, mu_s = factor * own_c, factor * own_s
-        variance_c = factor * (factor * c_c + 2.0 * by_c * c_f) + by_c**2 * f_f + (MODEL_STD_RATIO * mu_c) ** 2
-        variance_s = factor * (factor * s_s + 2.0 * by_s * s_f) + by_s**2 * f_f + (MODEL_STD_RATIO * mu_s) ** 2
-        both = factor * (factor * c_s + by_s * c_f + by_c * s_f) + by_c * by_s * f_f
-        return cls(mu_c, mu_s, variance_c, variance_s, both, both / math.sqrt(variance_c * variance_s))
+    def of(cls, known: Knowledge, clutch: int, place: int, factor: float, slope: float) -> Self:
+        """Return them, times a factor that has some slope over the parameter in this place; (34)."""
+        rows = [2 * clutch - 2, 2 * clutch - 1, place]
+        own = known.mean[rows[:2]]
+        by = np.column_stack((factor * np.eye(2), slope * own))  # of what is returned, by both and the parameter
+        mu, model = factor * own, np.diag((MODEL_STD_RATIO * factor * own) ** 2)
+        return cls(mu, by @ known.covariance[np.ix_(rows, rows)] @ by.T + model)
 
     def with_common(self, ratio: float) -> Self:
         """Return them less certain, both alike."""
-        variance_c, variance_s = (
-            self.variance_c + (ratio * self.mu_c) ** 2, self.variance_s + (ratio * self.mu_s) ** 2,
-        )  # fmt: skip
-        covariance = self.covariance + ratio**2 * self.mu_c * self.mu_s
-        correlation = covariance / math.sqrt(variance_c * variance_s)
-        return type(self)(self.mu_c, self.mu_s, variance_c, variance_s, covariance, correlation)
+        return type(self)(self.mu, self.covariance + np.outer(ratio * self.mu, ratio * self.mu))
 
 
 def friction(state: Posterior, clutch: int) -> FrictionEstimate:
@@ -453,33 +438,35 @@ def both_frictions(state: Posterior, clutch: int, known: Knowledge) -> tuple[Fri
 
     ``known`` is what is stated of a vehicle, or what one event says with what is known of all but its friction.
     """
-    mean, covariance = known.mean, known.covariance
     area = _AREAS[clutch - 1]
-    free = _Pair.of(mean, covariance, clutch, area, 1.0 + float(mean[area]), 1.0)
+    free = _Pair.of(known, clutch, area, 1.0 + float(known.mean[area]), 1.0)
     if state.torque is not TorqueSource.MEASURED:
         free = free.with_common(MODELLED_STD_RATIO)
-    gain = state.torque_gain + float(mean[_GAIN])
-    pair = _Pair.of(mean, covariance, clutch, _GAIN, 1.0 / gain, -1.0 / gain**2)
-    width = state.stribeck_speed_rad_s[clutch - 1] * (1.0 + float(mean[_WIDTH]))
-    difference = NormalDist(pair.mu_c - pair.mu_s, math.sqrt(pair.variance_c + pair.variance_s - 2.0 * pair.covariance))
+    gain = state.torque_gain + float(known.mean[_GAIN])
+    pair = _Pair.of(known, clutch, _GAIN, 1.0 / gain, -1.0 / gain**2)
+    width = state.stribeck_speed_rad_s[clutch - 1] * (1.0 + float(known.mean[_WIDTH]))
+    (mu_c, mu_s), (free_c, free_s) = pair.mu.tolist(), free.mu.tolist()
+    std_c, std_s = np.sqrt(pair.covariance.diagonal()).tolist()
+    free_std_c, free_std_s = np.sqrt(free.covariance.diagonal()).tolist()
+    difference = NormalDist(mu_c - mu_s, math.sqrt(float(_DIFFERENCE @ pair.covariance @ _DIFFERENCE)))
     scaled = FrictionEstimate(
-        mu_c=pair.mu_c,
-        mu_s=pair.mu_s,
-        std_mu_c=math.sqrt(pair.variance_c),
-        std_mu_s=math.sqrt(pair.variance_s),
-        correlation=pair.correlation,
-        random_std_mu_c=pair.mu_c * math.sqrt(free.variance_c) / free.mu_c,
-        random_std_mu_s=pair.mu_s * math.sqrt(free.variance_s) / free.mu_s,
+        mu_c=mu_c,
+        mu_s=mu_s,
+        std_mu_c=std_c,
+        std_mu_s=std_s,
+        correlation=float(pair.covariance[0, 1]) / (std_c * std_s),
+        random_std_mu_c=mu_c * free_std_c / free_c,
+        random_std_mu_s=mu_s * free_std_s / free_s,
         slope_s_rad=difference.mean / width,
         std_slope_s_rad=difference.stdev / width,
         probability_negative_slope=difference.cdf(0.0),
     )
     return scaled, ScaleFreeFriction(
-        mu_c=free.mu_c,
-        mu_s=free.mu_s,
-        std_mu_c=math.sqrt(free.variance_c),
-        std_mu_s=math.sqrt(free.variance_s),
-        correlation=free.correlation,
+        mu_c=free_c,
+        mu_s=free_s,
+        std_mu_c=free_std_c,
+        std_mu_s=free_std_s,
+        correlation=float(free.covariance[0, 1]) / (free_std_c * free_std_s),
     )
 
 
@@ -512,11 +499,9 @@ def common_margin(state: Posterior, known: Knowledge, new_margins: tuple[float, 
 
 def common_scale_std_ratio(state: Posterior, clutch: int) -> float:
     """Return the relative deviation of gain times piston area: what all friction of clutch 1 or 2 shares, for good."""
-    known, area = state.fusion.knowledge, _AREAS[clutch - 1]
-    mean, covariance = known.mean, known.covariance
-    by_gain, by_area = 1.0 / (state.torque_gain + float(mean[_GAIN])), 1.0 / (1.0 + float(mean[area]))
-    gain, both, of_area = float(covariance[_GAIN, _GAIN]), float(covariance[_GAIN, area]), float(covariance[area, area])
-    return math.sqrt(by_gain**2 * gain + 2.0 * by_gain * by_area * both + by_area**2 * of_area)
+    known, places = state.fusion.knowledge, [_GAIN, _AREAS[clutch - 1]]
+    by = 1.0 / (np.array([state.torque_gain, 1.0]) + known.mean[places])
+    return math.sqrt(float(by @ known.covariance[np.ix_(places, places)] @ by))
 
 
 def trend(state: Posterior, clutch: int) -> FrictionTrend | None:
@@ -535,11 +520,11 @@ def trend(state: Posterior, clutch: int) -> FrictionTrend | None:
     doubt = 0.0 if state.torque is TorqueSource.MEASURED else MODELLED_STD_RATIO
     both = (state.fusion.error_transition @ baseline.cross)[rows].diagonal()
     of_now, of_then = known.covariance[rows, rows].diagonal(), baseline.covariance.diagonal()
-    std = np.sqrt(np.maximum(of_now + of_then - 2.0 * both, 0.0))
+    std = np.sqrt(np.maximum(of_now + of_then - 2.0 * both, 0.0))  # (36)
     by_now, by_then = 1.0 / then, now / then**2
     std_ratio = np.sqrt(np.maximum(by_now**2 * of_now + by_then**2 * of_then - 2.0 * by_now * by_then * both, 0.0))
     change_c, change_s = ((now - then) / gain).tolist()
-    ratio_c, ratio_s = (now / then - 1.0).tolist()
+    ratio_c, ratio_s = (now / then - 1.0).tolist()  # (35)
     std_c, std_s = (std / gain).tolist()
     std_ratio_c, std_ratio_s = np.hypot(std_ratio, doubt).tolist()
     return FrictionTrend(
@@ -558,7 +543,7 @@ def trend(state: Posterior, clutch: int) -> FrictionTrend | None:
 
 
 def clutch_ratio(known: Knowledge) -> ClutchRatio:
-    """Return the friction of clutch 1 over that of clutch 2, of what is stated."""
+    """Return the friction of clutch 1 over that of clutch 2, of what is stated; docs/model.md, (37)."""
     mean, covariance = known.mean.tolist(), known.covariance[:FRICTION_COUNT, :FRICTION_COUNT].tolist()
     ratios = []
     for first, second in ((State.MU_C1, State.MU_C2), (State.MU_S1, State.MU_S2)):

@@ -27,9 +27,9 @@ BLOCK_NS: Final = NS_PER_S // 2
 LONGEST_GAP_NS: Final = NS_PER_S // 10  # between samples that a line may join
 LEAST_SAMPLES: Final = 10  # of each signal in a block: 20 a second
 LEAST_SLIP_RAD_S: Final = 0.8  # of the mean; closer to lock a tooth decides
-MOST_SLIP_RAD_S: Final = 30.0
+MOST_SLIP_RAD_S: Final = 30.0  # faster, a clutch is being applied or let go
 MOST_RATE_RAD_S2: Final = 40.0  # of the engine: faster, late torque is no balance
-MOST_SLIP_RATE_RAD_S2: Final = 6.0
+MOST_SLIP_RATE_RAD_S2: Final = 6.0  # likewise
 MOST_PRESSURE_STEP_PA: Final = 0.4e5  # within a block
 LEAST_PRESSURE_PA: Final = 0.3e5  # beyond touch, for a clutch that carries; as far below it is open
 MOST_SWING_RATIO: Final = 0.25  # root mean square of the slip, over its mean
@@ -212,7 +212,7 @@ def is_slipping(pressed_pa: FloatArray, slip_rad_s: FloatArray) -> BoolArray:
 
 
 ALGORITHM_VERSION: Final = "lockup-balance-1"
-STATE_FORMAT: Final = 1
+STATE_FORMAT: Final = 1  # of what is stored
 LAG_COUNT: Final = 24  # twelve seconds: what lasts longer is an offset of its own
 EXPECTED_CORRELATION: Final = 0.8  # from block to block, before residuals show it; a torque model errs for seconds
 EXPECTED_WEIGHT: Final = 60.0  # blocks that the expectation counts for
@@ -223,7 +223,7 @@ LEAST_STD: Final = 1e-6  # of what a description calls certain: a covariance mus
 SHAPE_RATIO: Final = 0.03  # of capacities, each by itself
 EVENT_OFFSET_NM: Final = 0.7  # per stretch: what else the engine drives
 EVENT_FRICTION_STD: Final = 1e-4  # per stretch: heat and running-in
-EVENT_MARGIN_STD: Final = 5e-5
+EVENT_MARGIN_STD: Final = 5e-5  # likewise, of mu_C - mu_S
 BASELINE_COUNT: Final = 15  # stretches
 MISFIT_RATIO: Final = 25.0  # of the variance of blocks to that expected: no converter behind such torque
 CONTRADICTION: Final = 9.2  # squared distance of two numbers: 1 % by chance, three in a row 1e-6

@@ -27,7 +27,7 @@ from clutch_results.records import (
     status_record,
     utc_from_bus_ns,
 )
-from diag_service.diagnosis.condition.condition import ConditionMemory, judge
+from diag_service.diagnosis.condition.condition import ConditionMemory, PairClutch, judge
 from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.summary import Capability, FrameCounts, Summary, capability_line, of_own_fluid, order_by
 from fleet_contract import schema
@@ -224,7 +224,9 @@ def stored() -> dict[str, Any]:
 
 def test_the_verdict_on_a_stored_state_is_what_it_was(stored: dict[str, Any]) -> None:
     state = Posterior.from_json(stored["posterior"], CALIBRATION)
-    _, verdict = judge(ConditionMemory.from_json(stored["condition"]), state, stored["clutch"], CALIBRATION)
+    _, verdict = judge(
+        ConditionMemory.from_json(stored["condition"]), PairClutch.of(state, stored["clutch"], CALIBRATION)
+    )
     assert verdict.friction is not None
     before = stored["verdict"]
     assert (verdict.condition.name, verdict.reason) == (before["condition"], before["reason"])

@@ -8,7 +8,7 @@ import pytest
 
 from clutch_model.calibration import nominal_calibration
 from clutch_results.records import Causes, ClutchVerdict, Condition, FluidFill, LikelyCause
-from diag_service.diagnosis.condition.condition import ConditionMemory, judge, no_verdict
+from diag_service.diagnosis.condition.condition import ConditionMemory, PairClutch, judge, no_verdict
 from diag_service.diagnosis.condition.verdict import likely
 from diag_service.diagnosis.summary import Gap, order_by, unjudged
 from tests.support.builders import friction_trend, shift_result
@@ -21,7 +21,7 @@ def verdict_on(
     mu_c: float, mu_s: float, *, previous: Condition = Condition.NO_VERDICT, **known: float
 ) -> ClutchVerdict:
     state = believed(mu_c, mu_s, std=known.get("std", 0.001), shift_count=int(known.get("shift_count", 5)))
-    return judge(ConditionMemory(conditions=(previous, previous)), state, 2, CALIBRATION)[1]
+    return judge(ConditionMemory(conditions=(previous, previous)), PairClutch.of(state, 2, CALIBRATION))[1]
 
 
 @pytest.mark.parametrize(

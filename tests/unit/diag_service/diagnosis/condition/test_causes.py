@@ -14,6 +14,7 @@ from diag_service.diagnosis.condition.condition import (
     LOWER,
     MEASURED,
     ConditionMemory,
+    PairClutch,
     Stretch,
     VehicleCourse,
     judge,
@@ -182,7 +183,7 @@ def test_a_drifted_sensor_holds_back_the_verdict_on_its_clutch(clutch: int, is_h
     drifted = LikelyCause(cause="pressure-sensor", clutch=1, probability=0.8, evidence="For it: x.")
     found = Causes(event_count=60, likely=(drifted,), advice="x")
     memory = ConditionMemory(course=VehicleCourse(begun=stretch(), now=stretch(), event_count=100, found=found))
-    _, verdict = judge(memory, FRESH, clutch, CALIBRATION)
+    _, verdict = judge(memory, PairClutch.of(FRESH, clutch, CALIBRATION))
     assert verdict.condition is Condition.NO_VERDICT
     assert ("has probably drifted" in verdict.reason) is is_held
     assert verdict.causes == found

@@ -1,14 +1,25 @@
 """The verdict, its thresholds and its hysteresis."""
 
 from dataclasses import replace
+from statistics import NormalDist
 
 import numpy as np
 import pytest
 
 from clutch_model.calibration import TorqueSource, nominal_calibration
 from clutch_results.records import ClutchVerdict, Condition, Reason, Status
-from diag_service.diagnosis.condition.condition import REFUSED_COUNT, ConditionMemory, Fit, judge
-from diag_service.diagnosis.condition.verdict import COLD_K, LEAST_SHIFT_COUNT, Cause
+from diag_service.diagnosis.condition.condition import COLD_K, REFUSED_COUNT, ConditionMemory, Fit, PairClutch, judge
+from diag_service.diagnosis.condition.thresholds import Cause, Situation
+from diag_service.diagnosis.condition.verdict import (
+    LEAST_SHIFT_COUNT,
+    SHIFTS,
+    SLIP_MINUTES,
+    Counted,
+    Course,
+    KnownLevel,
+    Launches,
+    decide,
+)
 from diag_service.diagnosis.friction.drives import PackTemperatures
 from diag_service.diagnosis.friction.evidence import (
     FRICTION_COUNT,
@@ -43,7 +54,7 @@ def believed(
 
 
 def condition_of(state: Posterior, previous: Condition = Condition.NO_VERDICT) -> Condition:
-    _, verdict = judge(ConditionMemory(conditions=(previous, previous)), state, 1, CALIBRATION)
+    _, verdict = judge(ConditionMemory(conditions=(previous, previous)), PairClutch.of(state, 1, CALIBRATION))
     return verdict.condition
 
 
@@ -82,13 +93,13 @@ def test_a_verdict_stays_until_its_cause_is_unlikely() -> None:
 
 
 def test_a_verdict_does_not_stay_for_another_cause_than_its_own() -> None:
-    memory, verdict = judge(ConditionMemory(), uncertain_scale(believed(0.119, 0.137)), 1, CALIBRATION)
+    memory, verdict = judge(ConditionMemory(), PairClutch.of(uncertain_scale(believed(0.119, 0.137)), 1, CALIBRATION))
     assert verdict.reason.startswith(Cause.SHUDDER)
     assert ConditionMemory.from_json(memory.to_json()).grounds == (Cause.SHUDDER, None)
     sound_slope = uncertain_scale(believed(0.116, 0.098))  # whose level is low, but not for sure
-    low = judge(replace(memory, grounds=(Cause.LEVEL_LOW, None)), sound_slope, 1, CALIBRATION)[1]
+    low = judge(replace(memory, grounds=(Cause.LEVEL_LOW, None)), PairClutch.of(sound_slope, 1, CALIBRATION))[1]
     assert (low.condition, low.reason.startswith(Cause.LEVEL_LOW)) == (Condition.CHANGE_FLUID, True)
-    assert judge(memory, sound_slope, 1, CALIBRATION)[1].condition is not Condition.CHANGE_FLUID
+    assert judge(memory, PairClutch.of(sound_slope, 1, CALIBRATION))[1].condition is not Condition.CHANGE_FLUID
 
 
 def test_what_more_shifts_will_tell_is_not_called_good() -> None:
@@ -151,7 +162,7 @@ def test_in_the_cold_and_while_a_vehicle_calibrates_a_low_level_must_be_surer_th
 
 
 def test_each_clutch_has_its_own_memory() -> None:
-    memory, _ = judge(ConditionMemory(), believed(0.119, 0.137), 2, CALIBRATION)
+    memory, _ = judge(ConditionMemory(), PairClutch.of(believed(0.119, 0.137), 2, CALIBRATION))
     assert memory.conditions == (Condition.NO_VERDICT, Condition.CHANGE_FLUID)
     assert ConditionMemory.from_json(memory.to_json()).to_json() == memory.to_json()
 
@@ -188,7 +199,7 @@ def test_friction_lost_since_the_baseline_is_told_although_the_level_is_uncertai
 ) -> None:
     assert condition_of(uncertain_scale(aged(1.0))) is Condition.GOOD
     state = uncertain_scale(aged(ratio))
-    _, verdict = judge(ConditionMemory(), state, 1, CALIBRATION)
+    _, verdict = judge(ConditionMemory(), PairClutch.of(state, 1, CALIBRATION))
     assert verdict.condition is expected
     assert ("lost since the baseline" in verdict.reason) is (expected is not Condition.GOOD)
     assert verdict.trend is not None
@@ -199,12 +210,12 @@ def test_friction_lost_since_the_baseline_is_told_although_the_level_is_uncertai
 def test_the_scatter_of_shifts_comes_with_the_verdict_once_there_were_enough() -> None:
     state, memory = believed(0.1361, 0.12), ConditionMemory()
     for number in range(1, LEAST_SHIFT_COUNT + 1):
-        assert judge(memory, state, 2, CALIBRATION)[1].shift_scatter is None
+        assert judge(memory, PairClutch.of(state, 2, CALIBRATION))[1].shift_scatter is None
         memory = memory.with_shift(shift_estimate(number), state)
-    scatter = judge(memory, state, 2, CALIBRATION)[1].shift_scatter
+    scatter = judge(memory, PairClutch.of(state, 2, CALIBRATION))[1].shift_scatter
     assert scatter is not None
     assert scatter.shift_count == LEAST_SHIFT_COUNT
-    assert judge(memory, state, 1, CALIBRATION)[1].shift_scatter is None
+    assert judge(memory, PairClutch.of(state, 1, CALIBRATION))[1].shift_scatter is None
     assert ConditionMemory.from_json(memory.to_json()).to_json() == memory.to_json()
 
 
@@ -266,10 +277,12 @@ def test_a_calibration_that_shifts_contradict_gives_no_verdict() -> None:
     fits = (AGREES, MISFITS, AGREES, CONTRADICTS, AGREES, AGREES, MISFITS)
     memory = ConditionMemory(fits=fits)
     assert memory.misfit_text.startswith("calibration does not fit: 3 of the last 7 shifts contradict it")
-    assert "diag-service calibrate" in memory.misfit_text
     assert ConditionMemory.from_json(memory.to_json()).to_json() == memory.to_json()
-    memory, verdict = judge(memory, believed(0.140, 0.119), 1, CALIBRATION)
-    assert (verdict.condition, verdict.reason) == (Condition.NO_VERDICT, memory.misfit_text)
+    memory, verdict = judge(memory, PairClutch.of(believed(0.140, 0.119), 1, CALIBRATION))
+    assert (verdict.condition, verdict.reason) == (
+        Condition.NO_VERDICT,
+        f"{memory.misfit_text}; diag-service calibrate makes one for this vehicle",
+    )
 
 
 @pytest.mark.parametrize(
@@ -284,7 +297,7 @@ def test_a_calibration_that_shifts_contradict_gives_no_verdict() -> None:
 def test_what_sound_drives_may_hold_costs_no_verdict(fits: tuple[Fit, ...]) -> None:
     memory = ConditionMemory(fits=fits)
     assert not memory.misfit_text
-    assert judge(memory, believed(0.140, 0.119), 1, CALIBRATION)[1].condition is Condition.GOOD
+    assert judge(memory, PairClutch.of(believed(0.140, 0.119), 1, CALIBRATION))[1].condition is Condition.GOOD
 
 
 def test_events_whose_sensors_contradict_each_other_take_the_verdict_back_until_one_can_be_used() -> None:
@@ -294,14 +307,14 @@ def test_events_whose_sensors_contradict_each_other_take_the_verdict_back_until_
     late = replace(refused, reasons=(Reason.FRAMES_MISSING,))
     for one in [refused, late, other] * (REFUSED_COUNT - 1):
         memory = memory.with_fit(one)
-    assert judge(memory, state, 2, CALIBRATION)[1].condition is Condition.GOOD
+    assert judge(memory, PairClutch.of(state, 2, CALIBRATION))[1].condition is Condition.GOOD
     memory = memory.with_fit(refused)
     assert ConditionMemory.from_json(memory.to_json()).refused == (0, REFUSED_COUNT)
-    verdict = judge(memory, state, 2, CALIBRATION)[1]
+    verdict = judge(memory, PairClutch.of(state, 2, CALIBRATION))[1]
     assert (verdict.condition, verdict.causes) == (Condition.NO_VERDICT, None)
     assert verdict.reason.endswith("have them looked at (10 events)")
-    assert judge(memory, state, 1, CALIBRATION)[1].condition is Condition.GOOD
-    assert judge(memory.with_fit(ours), state, 2, CALIBRATION)[1].condition is Condition.GOOD
+    assert judge(memory, PairClutch.of(state, 1, CALIBRATION))[1].condition is Condition.GOOD
+    assert judge(memory.with_fit(ours), PairClutch.of(state, 2, CALIBRATION))[1].condition is Condition.GOOD
 
 
 FILLED_AT = "2026-01-01T00:00:00.000000Z"
@@ -314,17 +327,17 @@ def test_new_fluid_has_no_verdict_yet_and_does_not_inherit_what_the_old_one_cont
     assert new.conditions == (Condition.NO_VERDICT, Condition.NO_VERDICT)
     assert (new.fits, new.fluid_since) == ((Fit.MISFITS, Fit.AGREES), FILLED_AT)
     borderline = believed(0.1295, 0.1285)
-    assert judge(worn, borderline, 1, CALIBRATION)[1].condition is Condition.CHANGE_FLUID
-    assert judge(new, borderline, 1, CALIBRATION)[1].condition is Condition.WATCH
+    assert judge(worn, PairClutch.of(borderline, 1, CALIBRATION))[1].condition is Condition.CHANGE_FLUID
+    assert judge(new, PairClutch.of(borderline, 1, CALIBRATION))[1].condition is Condition.WATCH
 
 
 def test_what_new_fluid_does_not_bring_back_is_the_linings() -> None:
     worn = aged(0.85)  # fluid and lining together have lost 15 %
     memory = ConditionMemory().with_new_fluid(FILLED_AT, worn)
     assert ConditionMemory.from_json(memory.to_json()).to_json() == memory.to_json()
-    _, before = judge(memory, believed(0.14, 0.119, shift_count=0), 1, CALIBRATION)
+    _, before = judge(memory, PairClutch.of(believed(0.14, 0.119, shift_count=0), 1, CALIBRATION))
     assert before.lining is None  # no shift with the new fluid yet
-    _, verdict = judge(memory, believed(0.14 * 0.96, 0.119 * 0.97), 1, CALIBRATION)
+    _, verdict = judge(memory, PairClutch.of(believed(0.14 * 0.96, 0.119 * 0.97), 1, CALIBRATION))
     assert verdict.lining is not None
     assert verdict.lining.change_mu_c_ratio == pytest.approx(-0.04)
     assert verdict.lining.change_mu_s_ratio == pytest.approx(-0.03)
@@ -334,7 +347,7 @@ def test_what_new_fluid_does_not_bring_back_is_the_linings() -> None:
 
 def test_it_says_while_it_learns_the_vehicle() -> None:
     new = believed(0.14, 0.119, is_calibrating=True)
-    _, verdict = judge(ConditionMemory(), new, 1, CALIBRATION)
+    _, verdict = judge(ConditionMemory(), PairClutch.of(new, 1, CALIBRATION))
     assert verdict.calibration_ratio == 0.0
     assert verdict.reason.endswith(", calibrating: 0 %")
     half, known = new.known.covariance.copy(), new.known.covariance.copy()
@@ -343,14 +356,14 @@ def test_it_says_while_it_learns_the_vehicle() -> None:
     for covariance, ratio, text in ((half, 0.4, "calibrating: 40 %"), (known, 0.9, "")):
         state = replace(Posterior.of(Knowledge(mean=new.known.mean, covariance=covariance), CALIBRATION),
                         folded_counts=(5, 5))  # fmt: skip
-        _, verdict = judge(ConditionMemory(), state, 1, CALIBRATION)
+        _, verdict = judge(ConditionMemory(), PairClutch.of(state, 1, CALIBRATION))
         assert verdict.calibration_ratio == pytest.approx(ratio)
         assert verdict.reason.endswith(text)
         assert ("calibrating" in verdict.reason) is bool(text)
 
 
 def modelled(state: Posterior) -> ClutchVerdict:
-    return judge(ConditionMemory(), replace(state, torque=TorqueSource.MODELLED), 1, CALIBRATION)[1]
+    return judge(ConditionMemory(), PairClutch.of(replace(state, torque=TorqueSource.MODELLED), 1, CALIBRATION))[1]
 
 
 def test_without_measured_torque_slope_and_change_are_judged_and_the_level_is_not() -> None:
@@ -385,3 +398,30 @@ def test_without_measured_torque_a_thin_margin_must_be_surer_in_the_cold() -> No
     warm = believed(0.133, 0.1265, std=0.0025)  # 84 % likely to be thin
     cold = replace(warm, packs=PackTemperatures(clutch_k=(COLD_K - 1.0, COLD_K - 1.0), at_ns=1))
     assert (modelled(warm).condition, modelled(cold).condition) == (Condition.WATCH, Condition.NO_VERDICT)
+
+
+@pytest.mark.parametrize(
+    ("counted", "situations", "expected"),
+    [
+        (SHIFTS, (), Condition.CHANGE_FLUID),
+        (SHIFTS, (Situation.COLD,), Condition.WATCH),
+        (SLIP_MINUTES, (Situation.LOCKUP,), Condition.WATCH),
+    ],
+)
+def test_one_decision_serves_clutches_of_each_kind_and_only_data_differ(
+    counted: Counted, situations: tuple[Situation, ...], expected: Condition
+) -> None:
+    reference = CALIBRATION.clutches[0].friction
+    now, both = friction(believed(0.123, 0.1248, std=0.0005), 1), NormalDist(-0.07, 0.04)
+    assert 0.95 < now.probability_negative_slope < 0.99
+    course = Course(
+        counted=counted,
+        shift_count=5,
+        since=None,
+        launches=Launches(),
+        previous=Condition.NO_VERDICT,
+        previous_cause=None,
+        situations=situations,
+    )
+    found = decide(KnownLevel.of(now, reference, both, course))
+    assert (found.condition, f"5 {counted.many}" in found.reason) == (expected, True)

@@ -10,7 +10,7 @@ from clutch_model.calibration import nominal_calibration
 from clutch_results.event_kinds import EndReason, EventKind, Shudder
 from clutch_results.records import Condition, ShiftEstimate, StickSlip
 from diag_service.diagnosis.columns import Signal
-from diag_service.diagnosis.condition.condition import ConditionMemory, judge
+from diag_service.diagnosis.condition.condition import ConditionMemory, PairClutch, judge
 from diag_service.diagnosis.condition.shift_indices import measure
 from diag_service.diagnosis.condition.verdict import LAUNCH_WINDOW, Launches, RunningScatter
 from diag_service.diagnosis.events import Event
@@ -75,8 +75,8 @@ def test_noise_and_a_clutch_that_was_let_go_are_none() -> None:
 
 def test_judder_adds_to_what_friction_says_of_the_slope() -> None:
     unsure = believed(0.1290, 0.1305, std=0.001)  # slope negative with probability 0.85
-    assert judge(launched(0.2, 8.0), unsure, 1, CALIBRATION)[1].condition is Condition.WATCH
-    _, verdict = judge(launched(0.2, 8.0, 9.0), unsure, 1, CALIBRATION)
+    assert judge(launched(0.2, 8.0), PairClutch.of(unsure, 1, CALIBRATION))[1].condition is Condition.WATCH
+    _, verdict = judge(launched(0.2, 8.0, 9.0), PairClutch.of(unsure, 1, CALIBRATION))
     assert verdict.condition is Condition.CHANGE_FLUID
     assert "2 of 3 launches juddered" in verdict.reason
     assert verdict.stick_slip == StickSlip(launch_count=3, judder_count=2)
@@ -84,8 +84,8 @@ def test_judder_adds_to_what_friction_says_of_the_slope() -> None:
 
 def test_judder_alone_is_no_verdict_but_it_holds_back_a_good_one() -> None:
     new = believed(0.14, 0.119)
-    assert judge(launched(0.2, 8.0), new, 1, CALIBRATION)[1].condition is Condition.GOOD
-    _, verdict = judge(launched(*[12.0] * LAUNCH_WINDOW), new, 1, CALIBRATION)
+    assert judge(launched(0.2, 8.0), PairClutch.of(new, 1, CALIBRATION))[1].condition is Condition.GOOD
+    _, verdict = judge(launched(*[12.0] * LAUNCH_WINDOW), PairClutch.of(new, 1, CALIBRATION))
     assert verdict.condition is Condition.NO_VERDICT
     assert verdict.advice is not None
     assert "it slips again after it has stuck" in verdict.advice

@@ -25,7 +25,7 @@ from diag_service.diagnosis.friction.evidence import (
     prior_mean,
     together,
 )
-from diag_service.diagnosis.friction.posterior import EventScatter, Posterior
+from diag_service.diagnosis.friction.posterior import Posterior
 
 STD = 0.001  # of friction seen in one event
 MU = np.array([0.140, 0.120])
@@ -158,7 +158,7 @@ def test_by_how_much_events_differ_is_learned_from_them_and_scales_what_they_tel
     state = Posterior.fresh(nominal_calibration())
     for number in range(120):
         state = state.with_event(event(number, 1 + number % 2, MU, rng))
-    learned = EventScatter(state.apart, state.apart_by_chance).ratio
+    learned = state.scatter.ratio
     assert learned == pytest.approx(ratio**2, abs=0.1 + 0.15 * ratio**2)
     known, told = state.fusion.knowledge.std(), state.stated.std()
     friction, gain = slice(0, 2), STATE_COUNT + Considered.TORQUE_GAIN
@@ -173,7 +173,7 @@ def test_events_that_err_alike_narrow_what_is_stated_only_so_far() -> None:
         state = Posterior.fresh(nominal_calibration())
         for one in events:
             state = state.with_event(replace(one, least_scatter=least))
-        ratios.append(EventScatter(state.apart, state.apart_by_chance).ratio)
+        ratios.append(state.scatter.ratio)
     assert ratios[0] < 0.3
     assert ratios[1:] == pytest.approx([0.5, 1.0], abs=0.1)
 

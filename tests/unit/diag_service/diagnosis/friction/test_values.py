@@ -8,7 +8,7 @@ import pytest
 
 from canlog.arrays import FloatArray
 from clutch_model.calibration import nominal_calibration
-from diag_service.diagnosis.condition.condition import ConditionMemory, judge
+from diag_service.diagnosis.condition.condition import ConditionMemory, PairClutch, judge
 from diag_service.diagnosis.friction.evidence import (
     FRICTION_COUNT,
     OWN_LAWS,
@@ -143,7 +143,7 @@ def test_the_stated_deviation_is_that_of_the_errors(name: str) -> None:
 
 def test_nothing_is_compared_before_there_is_something_to_compare_with() -> None:
     known = FRESH.known
-    _, verdict = judge(ConditionMemory(), of(known, (0, 3)), 2, CALIBRATION)
+    _, verdict = judge(ConditionMemory(), PairClutch.of(of(known, (0, 3)), 2, CALIBRATION))
     assert verdict.clutch_ratio is None
     baseline = Baseline.of(2, known, end_ns=1, count=BASELINE_SHIFT_COUNT)
     frozen = replace(of(known, (0, BASELINE_SHIFT_COUNT)), baselines=(None, baseline))

@@ -9,8 +9,8 @@ import pytest
 from clutch_model.calibration import shipped_calibration
 from clutch_results.event_kinds import EventKind
 from clutch_results.records import ClutchVerdict, Condition, Reason, ShiftEstimate, Status
-from diag_service.diagnosis.condition.condition import REFUSED_COUNT, ConditionMemory, judge_lockup
-from diag_service.diagnosis.condition.verdict import Silence
+from diag_service.diagnosis.condition.condition import REFUSED_COUNT, ConditionMemory, ConverterClutch, judge
+from diag_service.diagnosis.condition.thresholds import Silence
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.lockup.estimator import LockupEstimator, SlipFinder, shudder
 from diag_service.diagnosis.lockup.state import MICRO_SLIP_RAD_S, LockupState, samples_of
@@ -40,7 +40,10 @@ def diagnosed(fluid: str, seed: int = 900) -> tuple[LockupState, list[tuple[Shif
     state, memory, told = LockupState.fresh(CALIBRATION), ConditionMemory(), []
     for event in stretches(fluid, seed):
         state, estimate, swings = ESTIMATOR.estimate(event, state)
-        memory, verdict = judge_lockup(memory.with_fit(estimate).with_shudder(swings), state, CALIBRATION, swings)
+        memory, verdict = judge(
+            memory.with_fit(estimate).with_shudder(swings),
+            ConverterClutch.of(state, CALIBRATION, swings),
+        )
         told.append((estimate, verdict))
     return state, told
 
@@ -51,9 +54,9 @@ def test_slip_whose_sensors_contradict_each_other_takes_the_verdict_back() -> No
     memory = ConditionMemory()
     for count in range(REFUSED_COUNT):
         assert memory.refused == (count, 0)
-        assert judge_lockup(memory, state, CALIBRATION, None)[1].condition is Condition.CHANGE_FLUID
+        assert judge(memory, ConverterClutch.of(state, CALIBRATION, None))[1].condition is Condition.CHANGE_FLUID
         memory = memory.with_fit(refused)
-    verdict = judge_lockup(memory, state, CALIBRATION, None)[1]
+    verdict = judge(memory, ConverterClutch.of(state, CALIBRATION, None))[1]
     assert (verdict.condition, verdict.reason.startswith(Silence.DATA_CONTRADICT)) == (Condition.NO_VERDICT, True)
 
 
