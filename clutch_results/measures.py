@@ -24,11 +24,14 @@ class Measure:
     less: str
     read: Callable[[ShiftEstimate], Reading]
 
-    def words(self, mean: float, std: float | None) -> str:
-        """Return a value with two deviations for people, if these are known."""
+    def number(self, mean: float, std: float | None) -> str:
+        """Return a value with two deviations, if these are known, in the unit of people, which is not said."""
         text = self.form.format(self.scale * mean)
-        text = text if std is None else plus_minus(mean, std, self.form, scale=self.scale)
-        return f"{text} {self.unit}".rstrip()
+        return text if std is None else plus_minus(mean, std, self.form, scale=self.scale)
+
+    def words(self, mean: float, std: float | None) -> str:
+        """Return a value with two deviations, if these are known, and its unit for people."""
+        return f"{self.number(mean, std)} {self.unit}".rstrip()
 
 
 def _by_index(key: str) -> Callable[[ShiftEstimate], Reading]:

@@ -6,7 +6,7 @@ that the clutch had to bridge.
 
     summary = shifting_of(results)        # of one vehicle, the oldest first, as they are stored
     shifting_words(summary)               # one sentence for people, beginning with "shifting: "
-    unknown_friction_words(summary)       # the same behind "friction: cannot be known from this car; "
+    unknown_friction_words(summary)       # the same behind "Friction: cannot be known from this car; "
 """
 
 import math
@@ -31,6 +31,7 @@ LEAST_FREEDOM: Final = 2  # events beyond the numbers that a change is fitted wi
 EVENTS_PER_NUMBER: Final = 4  # of a fit, before one more condition is taken into account
 DRIVES_DIFFER_RATIO: Final = 0.05  # one deviation of the middles of drives of an unchanged vehicle [C]
 DRIVES_KNOWN: Final = 4.0  # as many drives as that assumption is worth [C]
+KINDS_KNOWN: Final = 4  # as many events the scatter of the other kinds of event is worth, beside that of a kind [C]
 LEAST_SCATTER: Final = 1e-3  # of events, over their size: no measure is known better
 CHANCE: Final = 0.0455  # of a normal error beyond two deviations
 MOST_NAMED: Final = 3  # changes in one sentence
@@ -140,13 +141,16 @@ def shifting_of(results: Iterable[ShiftResult]) -> ShiftingSummary:
         groups.setdefault((estimate.kind, estimate.from_gear, estimate.to_gear), []).append(event)
     order = {kind: place for place, kind in enumerate(EventKind)}
     ordered = sorted(groups.items(), key=lambda item: (order[item[0][0]], *item[0][1:]))
+    usual = {measure.key: _usual_scatter(measure, list(groups.values())) for measure in MEASURES}
     rows = tuple(
         ShiftingRow(
             kind=kind,
             from_gear=from_gear,
             to_gear=to_gear,
             event_count=len(group),
-            values=tuple(filter(None, (_value(measure, group, len(drives)) for measure in MEASURES))),
+            values=tuple(
+                filter(None, (_value(measure, group, len(drives), usual[measure.key]) for measure in MEASURES))
+            ),
         )
         for (kind, from_gear, to_gear), group in ordered
     )
@@ -208,7 +212,28 @@ def _told(measure: Measure, group: Sequence[_Event], number: int = 0) -> list[_T
     ]
 
 
-def _value(measure: Measure, group: Sequence[_Event], drive_count: int) -> ShiftingValue | None:
+@dataclass(frozen=True, slots=True)
+class _UsualScatter:
+    """How much events of the other kinds scatter about the means of their kinds."""
+
+    ratio: float  # one deviation over the mean of a kind
+    least: float  # below which no mean counts: of what is about zero a ratio says nothing
+    freedom: int  # on which that rests, at most `KINDS_KNOWN`
+
+    def variance(self, mean: float) -> float:
+        return (self.ratio * max(abs(mean), self.least)) ** 2
+
+
+def _usual_scatter(measure: Measure, groups: Sequence[Sequence[_Event]]) -> _UsualScatter:
+    kinds = [np.array([one.value for one in _told(measure, group)]) for group in groups]
+    least = 0.5 * float(np.median([abs(kind.mean()) for kind in kinds if kind.size] or [0.0]))
+    ratios = [(kind - kind.mean()) / max(abs(kind.mean()), least, _LEAST_SPREAD) for kind in kinds if kind.size > 1]
+    freedom = sum(kind.size - 1 for kind in ratios)
+    square = sum(float(kind @ kind) for kind in ratios)
+    return _UsualScatter(math.sqrt(square / max(freedom, 1)), least, min(freedom, KINDS_KNOWN))
+
+
+def _value(measure: Measure, group: Sequence[_Event], drive_count: int, usual: _UsualScatter) -> ShiftingValue | None:
     told = _told(measure, group)
     if not told:
         return None
@@ -216,7 +241,7 @@ def _value(measure: Measure, group: Sequence[_Event], drive_count: int) -> Shift
     return ShiftingValue(
         key=measure.key,
         mean=mean,
-        std=_std_of_mean(told, scatter),
+        std=_std_of_mean(told, mean, scatter, usual),
         scatter=scatter,
         event_count=len(told),
         over_drive=_over_drive(measure, told, drive_count),
@@ -228,13 +253,18 @@ def _scatter(told: Sequence[_Told]) -> float | None:
     return stdev(one.value for one in told) if len(told) > 1 else None
 
 
-def _std_of_mean(told: Sequence[_Told], scatter: float | None) -> float | None:
-    """Return the deviation of a mean: the scatter averages out, what the errors of all events share does not."""
+def _std_of_mean(told: Sequence[_Told], mean: float, scatter: float | None, usual: _UsualScatter) -> float | None:
+    """Return the deviation of a mean: the scatter averages out, what the errors of all events share does not.
+
+    Two or three events hardly tell their scatter: that of the other kinds counts beside it, as a few events would.
+    """
     own = [one.std for one in told if one.std is not None]
     if scatter is None:
         return own[0] if own else None
-    shared = max(fmean(std**2 for std in own) - scatter**2, 0.0) if len(own) == len(told) else 0.0
-    return math.sqrt(scatter**2 * _width(len(told) - 1) ** 2 / len(told) + shared)
+    freedom = len(told) - 1
+    variance = (freedom * scatter**2 + usual.freedom * usual.variance(mean)) / (freedom + usual.freedom)
+    shared = max(fmean(std**2 for std in own) - variance, 0.0) if len(own) == len(told) else 0.0
+    return math.sqrt(variance * _width(freedom + usual.freedom) ** 2 / len(told) + shared)
 
 
 def _overall(measure: Measure, groups: Iterable[Sequence[_Event]], drive_count: int) -> OverallChange | None:
@@ -378,6 +408,13 @@ def _amount(measure: Measure, change: ShiftingChange, *, is_width: bool = False)
     return f"{text} {unit}".rstrip()
 
 
+def percent_words(measure: Measure, change: ShiftingChange) -> str:
+    """Return a change as a cell of a table: with its sign and two deviations; one that is not seen as these alone."""
+    if not change.is_seen:
+        return f"none ± {_amount(measure, change, is_width=True)}"
+    return ("+" if change.change > 0.0 else "-") + _amount(measure, change)
+
+
 def since_words(change: ShiftingChange) -> str:
     """Return when the events begin against which a change is told: ``in March``, ``on 4 May``, ``in the first drive``.
 
@@ -457,9 +494,12 @@ def _since(change: ShiftingChange) -> str:
     return since_words(change).removeprefix("in ").removeprefix("on ")
 
 
-def unknown_friction_words(summary: ShiftingSummary) -> str:
-    """Return what a vehicle without friction can tell, as one sentence for people without a full stop."""
-    return f"friction: cannot be known from this car; {shifting_words(summary)}"
+def unknown_friction_words(summary: ShiftingSummary, *, is_relative: bool = False) -> str:
+    """Return what a vehicle without friction can tell, as one sentence for people without a full stop.
+
+    ``is_relative`` says that something else tells its friction up to a scale.
+    """
+    return f"Friction: {'its level ' if is_relative else ''}cannot be known from this car; {shifting_words(summary)}"
 
 
 def shifting_record(summary: ShiftingSummary) -> JsonObject:
