@@ -415,16 +415,20 @@ def _amount(measure: Measure, change: ShiftingChange, *, is_width: bool = False)
 CHANGE_LEGEND: Final = "none: no change beyond these; ?: may be chance, among so many"
 
 
-def percent_words(summary: ShiftingSummary, value: ShiftingValue | None) -> str:
-    """Return the change of a value as a cell of a table, with its sign; `CHANGE_LEGEND` says how to read it."""
+def percent_words(measure: Measure, change: ShiftingChange) -> str:
+    """Return a change as a cell of a table: with its sign and two deviations; ``none`` and these if it is not seen."""
+    if not change.is_seen:
+        return f"none ± {_amount(measure, change, is_width=True)}"
+    return f"{'+' if change.change > 0.0 else '-'}{_amount(measure, change)}"
+
+
+def change_cell(summary: ShiftingSummary, value: ShiftingValue | None) -> str:
+    """Return the newest change of a value as a cell of a table; `CHANGE_LEGEND` says how to read it."""
     change = None if value is None else newest_change(summary, value)
     if value is None or change is None:
         return "-"
-    measure = BY_KEY[value.key]
-    if not change.is_seen:
-        return f"none ± {_amount(measure, change, is_width=True)}"
-    doubt = "" if is_sure(summary, change) else " ?"
-    return f"{'+' if change.change > 0.0 else '-'}{_amount(measure, change)}{doubt}"
+    doubt = " ?" if change.is_seen and not is_sure(summary, change) else ""
+    return f"{percent_words(BY_KEY[value.key], change)}{doubt}"
 
 
 def since_words(change: ShiftingChange) -> str:

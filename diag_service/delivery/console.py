@@ -24,7 +24,7 @@ from clutch_results.measures import (
 )
 from clutch_results.records import LEAST_SLIP_ROWS, Condition, Reason, ShiftEstimate, ShiftResult, Status, Tier
 from clutch_results.shift_course import load_line
-from clutch_results.shifting import CHANGE_LEGEND, ShiftingSummary, percent_words
+from clutch_results.shifting import CHANGE_LEGEND, ShiftingSummary, change_cell
 from clutchdiag_io.console import PeopleConsole, plain_table
 from clutchdiag_io.people import PLUS_MINUS, SHORT_PLUS_MINUS, half_width, plus_minus
 from clutchdiag_io.program import discard
@@ -249,7 +249,7 @@ def shifting_rows(summary: ShiftingSummary) -> Iterator[tuple[str, ...]]:
     for row in summary.rows:
         values = [(measure, row.value(measure)) for measure in shown]
         cells = ["-" if at is None else measure.number(at.mean, at.std) for measure, at in values]
-        yield row.name, str(row.event_count), *cells, percent_words(summary, values[0][1])
+        yield row.name, str(row.event_count), *cells, change_cell(summary, values[0][1])
 
 
 SHIFTING_LEGEND = f"How it shifts, by kind and gears; {NOT_MEASURED}; {CHANGE_LEGEND}"

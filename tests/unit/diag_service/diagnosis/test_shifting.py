@@ -1,5 +1,6 @@
 """How a vehicle shifts: rows by kind and gears, changes with deviations that hold, words."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ from clutch_results.measures import CAPACITY, HEAT, PEAK_SLIP, SLIP_TIME
 from clutch_results.records import Tier
 from clutch_results.shifting import (
     ShiftingChange,
+    change_cell,
     seen_changes,
     shifting_of,
     shifting_record,
@@ -198,3 +200,15 @@ def test_the_words_name_what_the_tier_tells() -> None:
     kinematic = shifting_words(shifting_of([told(1, DATED_NS, capacity=None, tier=Tier.KINEMATIC)]))
     assert "shift time 1.30 s" in kinematic
     assert "capacity" not in kinematic
+
+
+def test_a_change_that_may_be_chance_among_so_many_is_marked() -> None:
+    sure = shifting_of(scattered(np.random.default_rng(5), [0, 1, 2, 90, 91, 92], 12, growth=0.5, among=0.01))
+    assert re.fullmatch(r"\+\d+ ± \d+ %", change_cell(sure, sure.rows[0].value(SLIP_TIME)))
+    cells = []
+    for seed in range(60):
+        summary = shifting_of(scattered(np.random.default_rng(seed), [0, 1, 2, 3], 8))
+        cells.append(change_cell(summary, summary.rows[0].value(SLIP_TIME)))
+    assert all(re.fullmatch(r"none ± \d+ %|[+-]\d+ ± \d+ % \?", cell) for cell in cells)
+    assert any(cell.endswith("?") for cell in cells)
+    assert change_cell(sure, None) == "-"
