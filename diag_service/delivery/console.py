@@ -29,6 +29,7 @@ from clutchdiag_io.console import PeopleConsole, plain_table
 from clutchdiag_io.people import PLUS_MINUS, SHORT_PLUS_MINUS, half_width, plus_minus
 from clutchdiag_io.program import discard
 from diag_service.delivery.reporters import ControllerNews, JsonLinesReporter, News, PipeReporter, Reporter
+from diag_service.diagnosis.lockup.slip import slip_lines
 from diag_service.diagnosis.lockup.slope import slope_lines
 from diag_service.diagnosis.summary import (
     Summary,
@@ -157,7 +158,8 @@ def _findings_of(summary: Summary) -> Iterator[str]:
     # Where no pressure tells heat, the table has what torque and speeds say of it, and counts launches.
     loads = (load for _, load in sorted(summary.loads.items()))
     yield from (load_line(load) for load in loads if any(load.counts) or not summary.untold)
-    yield from (*map(str, summary.relative), *slope_lines(summary.lockup), *filter(None, (summary.held_run,)))
+    yield from (*map(str, summary.relative), *slope_lines(summary.lockup), *slip_lines(summary.lockup_slip))
+    yield from filter(None, (summary.held_run,))
     yield from shifting_lines(summary)
 
 

@@ -159,6 +159,7 @@ def _listed(channels: Iterable[int]) -> str:
 
 
 if TYPE_CHECKING:  # a live service tells no friction up to a scale
+    from diag_service.diagnosis.lockup.slip import LockupSlip
     from diag_service.diagnosis.lockup.slope import LockupSlope
     from diag_service.diagnosis.prediction import RelativeFriction
 
@@ -221,6 +222,7 @@ class Summary:
     loads: Mapping[int, Load] = field(default_factory=dict)  # what each clutch had to bear
     relative: "tuple[RelativeFriction, ...]" = ()  # of a log whose signals tell friction up to a scale
     lockup: "LockupSlope | None" = None  # of a log whose signals tell no level of a lock-up clutch
+    lockup_slip: "LockupSlip | None" = None  # of a log that tells the slip of a lock-up clutch and no more
     held_run: str = ""  # what a clutch carried in a log in one gear, for people
     untold: tuple[ShiftResult, ...] = ()  # the newest results of a vehicle whose signals do not tell friction
     today_ns: int = NO_TODAY  # when the run was summed up, since 1970
@@ -240,7 +242,7 @@ class Summary:
     def order(self) -> orders.Order:
         """What the vehicle is told, by the last result of each clutch, earlier runs counted."""
         known = {**{result.verdict.clutch: result for result in self.latest}, **self.earlier}
-        elements, lockup = self.capability.elements, self.lockup
+        elements, lockup = self.capability.elements, self.lockup or self.lockup_slip
         return order_by(known.values(), self.fluid, elements, lockup, today_ns=self.today_ns)
 
 
@@ -368,7 +370,7 @@ def order_by(
     results: Iterable[ShiftResult],
     fluid: FluidFill | None,
     elements: Iterable[str] = (),
-    lockup: "LockupSlope | None" = None,
+    lockup: "LockupSlope | LockupSlip | None" = None,
     *,
     today_ns: int = NO_TODAY,
     doubts: Sequence[str] = (),
@@ -397,7 +399,11 @@ def order_by(
     ]
     order = orders.order_of(findings, None if fluid is None else datetime.fromisoformat(fluid.filled_at), elements)
     order = replace(order, notes=(*order.notes, *(doubts or chronicle.doubts)))
-    return order if findings or lockup is None else replace(order, reasons=(lockup.withheld,))
+    if findings or lockup is None:
+        return order
+    if not lockup.withheld:
+        return replace(order, sentence=orders.UNKNOWABLE[orders.UNTOLD], reasons=())
+    return replace(order, reasons=(lockup.withheld,))
 
 
 def _is_renewed(since: FrictionTrend | None) -> bool:
@@ -441,6 +447,7 @@ def summary_record(summary: Summary) -> JsonObject:
         **({"loads": [to_plain(load) for _, load in sorted(summary.loads.items())]} if summary.loads else {}),
         **({"relative_friction": [to_plain(friction) for friction in summary.relative]} if summary.relative else {}),
         **({} if summary.lockup is None else {"lockup_slope": to_plain(summary.lockup)}),
+        **({} if summary.lockup_slip is None else {"lockup_slip": to_plain(summary.lockup_slip)}),
         **({"held_run": summary.held_run} if summary.held_run else {}),
         "logs": [log_record(log) for log in summary.contributions.logs],
         "idle": list(summary.contributions.idle),
@@ -526,7 +533,7 @@ def capability_line(summary: Summary) -> str:
     has_shifts = any(summary.shifts.by_status.values())
     if not has_shifts and not summary.frames.on_bus:
         return "no frame came: check the channel, the bit rate, and whether the ignition is on"
-    parts = [] if has_shifts or summary.lockup else ["no shift was found"]
+    parts = [] if has_shifts or summary.lockup or summary.lockup_slip else ["no shift was found"]
     if capability.tier is Tier.FRICTION and capability.torque.is_modelled:
         parts.append(TORQUE_TEXT[capability.torque])
     if capability.tier is Tier.FRICTION and has_shifts:

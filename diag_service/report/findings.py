@@ -79,7 +79,7 @@ class Findings:
 
     @property
     def order(self) -> Order:
-        lockup = None if self.summary is None else self.summary.lockup
+        lockup = None if self.summary is None else self.summary.lockup or self.summary.lockup_slip
         fluid, doubts = self.fills[-1] if self.fills else None, self._chronicle.doubts
         return order_by(self.latest, fluid, self._elements, lockup, today_ns=self.today_ns, doubts=doubts)
 

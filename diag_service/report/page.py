@@ -225,7 +225,9 @@ def _curves(findings: Findings) -> Iterator[tuple[records.ClutchVerdict, Markup]
 def _unseen(findings: Findings) -> Iterator[str]:
     """Yield what was not seen and why, and what became of the frames."""
     summary = findings.summary
-    engaged = {result.estimate.clutch for result in findings.results} | ({1} if summary and summary.lockup else set())
+    engaged = {result.estimate.clutch for result in findings.results} | (
+        {1} if summary and (summary.lockup or summary.lockup_slip) else set()
+    )
     if not findings.untold:
         yield from (
             f"{findings.title(clutch)}: no event engaged it." for clutch in findings.clutches if clutch not in engaged

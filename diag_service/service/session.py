@@ -267,6 +267,7 @@ class Session:
                 summary,
                 relative=self.survey.relative_frictions(),
                 lockup=self.survey.slopes.slope(),
+                lockup_slip=self.survey.slip(),
                 held_run=self.survey.held_run,
             )
         self.reporter.report(summary)
