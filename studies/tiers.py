@@ -233,7 +233,7 @@ def _compared(
 
 
 def true_indices(rows: FloatArray, change: Change) -> dict[str, float]:
-    """Return the indices of a gear change by the plant's own speeds and torques; docs/model.md (I1) to (I8)."""
+    """Return the indices of a gear change by the plant's own speeds and torques; docs/model.md (I1) to (I9)."""
     first, stop, from_gear, to_gear = change
     on, off = clutch_of_gear(to_gear) - 1, clutch_of_gear(from_gear) - 1
     ratios = nominal_parameters().gearbox.input_output_ratios

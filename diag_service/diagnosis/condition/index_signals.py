@@ -325,7 +325,7 @@ ROUNDING_S: Final = 1e-6  # of times: a sample at the very end of a line belongs
 def jerk_of(car: Samples, begin_s: float, end_s: float) -> Value | NotMeasured:
     """Return the largest change of the car's acceleration within 0.1 s, over that time [m/s3], and its deviation.
 
-    Acceleration is the slope of a straight line through the samples of 0.16 s; docs/model.md eq. (I6).
+    Acceleration is the slope of a straight line through the samples of 0.16 s; docs/model.md eq. (I7).
     """
     at_s = np.arange(begin_s, end_s, JERK_GRID_S)
     jerks = (_slopes_of_lines(car, at_s) - _slopes_of_lines(car, at_s - JERK_S)) / JERK_S
@@ -382,7 +382,7 @@ LEAST_JUDDER_S: Final = 0.4  # two periods of its lower end
 def judder_of(slip: Slip, is_slipping: BoolArray, grid_s: float) -> Value | NotMeasured:
     """Return the root mean square of slip between 5 and 20 Hz from the first slip to the last [rad/s].
 
-    A parabola is taken off, what is left is taken apart into cosines; docs/model.md eq. (I7).
+    A parabola is taken off, what is left is taken apart into cosines; docs/model.md eq. (I9).
     """
     if slip.gap_s > 1.0 / LEAST_RATE_HZ:
         return NotMeasured.SAMPLED_TOO_SLOWLY

@@ -82,7 +82,7 @@ def measure(event: Event, calibration: Calibration, gears: GearRatios | None = N
     for name, ratio in (("ratio_before", ratios.before), ("ratio_after", ratios.after)):
         is_told = ratios.over is Signal.OUTPUT_SPEED  # over the car's speed it would not be a number
         found.put(name, (ratio or NotMeasured.NOT_LOCKED) if is_told else NotMeasured.SIGNAL_MISSING)
-    t_s = np.arange(0.0, max(duration_s, INDEX_GRID_S), INDEX_GRID_S)
+    t_s = np.arange(0.0, max(duration_s, 2.0 * INDEX_GRID_S), INDEX_GRID_S)  # a slope needs two rows
     grid = _grid_of(event, t_s, calibration)
     slips = dict[int, Slip]()
     acceleration_rad_s2 = np.zeros(len(t_s)) if engine is None else slopes_at(engine, t_s)
@@ -335,7 +335,7 @@ def _torque_capacity(grid: _Grid, slip: Slip, off: Slip | None, calibration: Cal
 def _heat(
     grid: _Grid, slip: Slip, off: Slip | None, capacity: Value | NotMeasured, calibration: Calibration
 ) -> Value | NotMeasured:
-    """Return the heat of slip in the on-coming clutch [J]; docs/model.md eq. (I5).
+    """Return the heat of slip in the on-coming clutch [J]; docs/model.md eq. (I6).
 
     Once the off-going clutch is released, the on-coming one carries the engine's torque less what its inertia takes.
     Before, it carries what is asked of it, by the capacity of this event; where that is not

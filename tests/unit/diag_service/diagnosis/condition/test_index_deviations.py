@@ -314,6 +314,14 @@ def test_heat_is_less_sure_where_nothing_tells_how_torque_is_handed_over() -> No
     assert abs(value - TRUE_HEAT_J) < 2.0 * std
 
 
+@pytest.mark.parametrize("duration_ns", [1, 1_000_000, 5_000_000, 12_000_000])
+def test_an_event_shorter_than_a_row_has_its_indices(duration_ns: int) -> None:
+    event = change(heated())
+    found = measure(replace(event, end_ns=event.start_ns + duration_ns), CALIBRATION)
+    assert found.shift_time_s == duration_ns / 1e9
+    assert found.peak_slip_rad_s == pytest.approx(60.0, abs=1.0)
+
+
 def test_an_event_broken_off_has_no_indices_and_says_so() -> None:
     found = measure(replace(change(Bus()), end_reason=EndReason.INTERRUPTED), CALIBRATION)
     assert found == ShiftIndices(not_measured={"shift_time_s": NotMeasured.NOT_COMPLETED})
