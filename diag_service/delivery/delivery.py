@@ -27,7 +27,8 @@ from clutch_results.records import (
 )
 from clutch_results.shifting import shifting_of, unknown_friction_words
 from diag_service.delivery.reporters import DeliveryLimits, Link
-from diag_service.diagnosis.summary import is_relative, latest_of, of_present_fluid, order_by
+from diag_service.diagnosis.capability import is_relative
+from diag_service.diagnosis.summary import latest_of, of_present_fluid, order_by
 from diag_service.errors import PublishError, PublishRefusedError
 from diag_service.store import ResultStore
 from fleet_contract import Outcome, Outgoing, Receipt, bundle_messages, clutch_message, fluid_message, raw_shift_message

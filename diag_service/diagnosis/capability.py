@@ -1,11 +1,12 @@
 """What the signals of a run suffice for, what friction lacks, and who could be asked for it."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 from clutch_model.calibration import TorqueSource
-from clutch_results.records import Tier
+from clutch_results.records import ShiftResult, Tier
+from fleet_contract.orders import LEVEL_UNTOLD
 
 TIER_TEXT: Final = {
     Tier.FRICTION: "friction",
@@ -72,3 +73,8 @@ def need_lines(capability: Capability) -> Iterator[str]:
         yield f"At the car, diag-service try --profile {profile} --active asks for them; without --active it says how."
     if others and not asked:
         yield AT_THE_CAR
+
+
+def is_relative(untold: Sequence[ShiftResult]) -> bool:
+    """Return whether all that is lacking of a vehicle's friction is its scale."""
+    return bool(untold) and LEVEL_UNTOLD in str(untold[-1].verdict.advice)

@@ -36,6 +36,7 @@ from diag_service.diagnosis.capability import (
     TIER_TEXT,
     TORQUE_TEXT,
     Capability,
+    is_relative,
     need_lines,
 )
 from diag_service.diagnosis.condition.verdict import Silence, advice, likely
@@ -517,11 +518,6 @@ def shifting_lines(summary: Summary) -> list[str]:
     needs = list(need_lines(summary.capability))
     words = [] if known is None else [f"{unknown_friction_words(known, is_relative=is_relative(summary.untold))}."]
     return [*words, *([f"{NEEDS_HEAD}:", *(f"  {need}" for need in needs)] if needs else [])]
-
-
-def is_relative(untold: Sequence[ShiftResult]) -> bool:
-    """Return whether all that is lacking of a vehicle's friction is its scale."""
-    return bool(untold) and orders.LEVEL_UNTOLD in str(untold[-1].verdict.advice)
 
 
 def capability_line(summary: Summary) -> str:

@@ -17,8 +17,8 @@ from clutchdiag_io.console import plain_table
 from clutchdiag_io.pages.content import spread
 from clutchdiag_io.people import PLUS_MINUS, plus_minus
 from diag_service.delivery.console import condition_words, order_lines, shifting_table
-from diag_service.diagnosis.capability import NEEDS_HEAD
-from diag_service.diagnosis.summary import cause_lines, is_relative, latest_of, newest_causes
+from diag_service.diagnosis.capability import NEEDS_HEAD, is_relative
+from diag_service.diagnosis.summary import cause_lines, latest_of, newest_causes
 from diag_service.report.findings import Findings, moment_words
 from diag_service.store import Row
 from fleet_contract import JsonObject

@@ -36,7 +36,7 @@ from diag_service.delivery.console import (
     shifting_heads,
     shifting_rows,
 )
-from diag_service.diagnosis.capability import NEEDS_HEAD
+from diag_service.diagnosis.capability import is_relative
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.condition.verdict import likely
 from diag_service.diagnosis.events import Event
@@ -44,7 +44,6 @@ from diag_service.diagnosis.summary import (
     capability_line,
     frames_line,
     gaps_line,
-    is_relative,
     newest_causes,
     reason_text,
     summary_record,
@@ -137,7 +136,6 @@ def _shifting(findings: Findings) -> dict[str, Any]:
         "shifting_rows": [(name, *map(_unbroken, cells)) for name, *cells in shifting_rows(shifting)],
         "shifting_legend": SHIFTING_LEGEND,
         "changes": seen_changes(shifting)[MOST_NAMED:],  # the others are in the words
-        "needs_head": NEEDS_HEAD,
         "event_heads": tuple(shifting_heads(measures)),
         "event_cells": lambda estimate: tuple(_cell(measure, estimate) for measure in measures),
     }
