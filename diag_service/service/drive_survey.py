@@ -5,6 +5,7 @@ import logging
 from clutch_results.records import Tier
 from diag_service.diagnosis.columns import ColumnBatch, Signal
 from diag_service.diagnosis.events import Event
+from diag_service.diagnosis.lockup.slip import LockupSlip, SlipSurvey
 from diag_service.diagnosis.lockup.slope import SlopeSurvey
 from diag_service.diagnosis.prediction import RelativeFriction, RelativeSurvey
 from diag_service.mapping.learning import BEHIND, VehicleSurvey
@@ -22,6 +23,8 @@ class DriveSurvey:
         self._relative = RelativeSurvey() if stages.reach.is_relative else None
         self._gears = stages.decoder.gears
         self.slopes = SlopeSurvey(is_commanded=Signal.LOCKUP_PRESSURE not in stages.decoder.signals)
+        self._slips = SlipSurvey()
+        self._has_slips = stages.reach.tier is Tier.KINEMATIC and stages.reach.asked["has_converter"]
         self._has_slopes = stages.reach.tier is Tier.TORQUE and stages.reach.asked["has_converter"]
         signals = stages.decoder.signals
         over = next((speed for speed in BEHIND if speed in signals), None)
@@ -31,6 +34,8 @@ class DriveSurvey:
     def _watch(self, columns: ColumnBatch) -> None:
         if self._has_slopes:
             self.slopes.feed(columns)
+        if self._has_slips:
+            self._slips.feed(columns)
         if self._vehicle is not None:
             self._vehicle.add(columns)
 
@@ -40,6 +45,10 @@ class DriveSurvey:
         self._ranges.add(event)
         if self._relative is not None:
             self._relative.add(event, self._gears)
+
+    def slip(self) -> LockupSlip | None:
+        """Return what the slip of a lock-up clutch did, where nothing else is known of it."""
+        return self._slips.slip() if self._has_slips else None
 
     @property
     def held_run(self) -> str:

@@ -1,12 +1,14 @@
 """An automatic with a lock-up clutch, emulated and diagnosed from its log: friction, shudder, verdict, by its name."""
 
 import json
+import re
 from pathlib import Path
 
 import pytest
 
 import diag_service
 from clutch_results.records import shift_record
+from diag_service.mapping.profile import PROFILE_FOLDER
 from ecu_emulator import Emulator
 from tests.support.in_process import ended
 
@@ -63,3 +65,29 @@ def test_store_history_and_report_call_it_by_its_name(log: Path, tmp_path: Path)
     assert "Lock-up clutch: running estimate" in html
     assert "slope at 40 rpm" in html
     assert "lutch 2" not in html
+
+
+def test_by_speeds_alone_slip_is_told_and_no_event_is_waited_for(log: Path, tmp_path: Path) -> None:
+    shipped = (PROFILE_FOLDER / "lockup.toml").read_text(encoding="utf-8")
+    lines = [line for line in shipped.splitlines() if "lockup_pressure" not in line and "database" not in line]
+    (tmp_path / "speeds.toml").write_text("\n".join(lines), encoding="utf-8")
+    options = (
+        "--profile",
+        tmp_path / "speeds.toml",
+        "--dbc",
+        PROFILE_FOLDER.parents[1] / "dbc" / "lockup.dbc",
+        "--calibration",
+        "lockup",
+    )
+    text = ended("analyze", log, *options).out
+    assert "There is no verdict on the fluid: friction cannot be known from this car." in text
+    assert re.search(r"  Slip under 4 rpm for \d+ s, up to 95 rpm for [1-9]\d* s, more for [1-9]\d* s\.", text)
+    assert re.search(r"Shudder: seen, at \d+\.\d Hz", text)
+    assert "  lock-up pressure: not among what was read" in text
+    assert not re.search("engaged it|yet", text)
+    slip = ended("analyze", log, *options, "--json").summary["lockup_slip"]
+    assert slip["held_s"] > 10.0
+    assert ended("report", log, *options, "-o", tmp_path / "page.html").status == 0
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert "Slip went below 95 rpm" in page
+    assert "no event engaged" not in page

@@ -11,6 +11,7 @@ from types import MappingProxyType
 from typing import Final, NamedTuple
 
 from clutch_results.curves import CALIBRATED_RATIO, CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO, WATCH_MARGIN_RATIO
+from fleet_contract.orders import LEVEL_UNTOLD, UNTOLD
 
 MIN_SHIFT_COUNT: Final = 3
 FIT_WINDOW: Final = 20  # shifts of both clutches: two cycles
@@ -37,10 +38,8 @@ class Silence(StrEnum):
     SLIP_SWINGS = "its slip swings by itself, and its friction does not say why"
     CALIBRATION_MISFIT = "the calibration does not fit this vehicle; diag-service calibrate makes one that does"
     CONVERTER_MISFIT = "the description of its converter does not fit this vehicle; have its numbers looked at"
-    SIGNALS_MISSING = "the signals of this vehicle do not tell its friction"
-    LEVEL_UNKNOWN = (
-        "the torque of the engine is not measured: friction is known up to a scale at best and cannot be called sound"
-    )
+    SIGNALS_MISSING = UNTOLD
+    LEVEL_UNKNOWN = LEVEL_UNTOLD
     SENSOR_DRIFTED = "a sensor by which it is judged has probably drifted; have that mended, then calibrate anew"
     DATA_CONTRADICT = (
         "its last events were refused, ten or more, because its sensors contradict each other or the commands; have "

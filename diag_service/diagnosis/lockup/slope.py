@@ -126,17 +126,22 @@ class LockupSlope:
             yield f"No slope: {self.slip_s:.0f} s of steady slip are too few."
         if self.feed_forward_r2 > FEED_FORWARD_R2:
             yield f"Pressure follows the torque model (R2 {self.feed_forward_r2:.2f}): that is no friction."
-        for what, swing in (("Shudder", self.shudder), ("Hunting of the slip control", self.hunting)):
-            if swing is None:
-                yield f"{what}: cannot be told, the rows are too slow or slip is too short."
-            else:
-                seen = f"seen, at {swing.frequency_hz:.1f} Hz" if swing.seen_count >= LEAST_SEEN else "none"
-                yield f"{what}: {seen} ({swing.seen_count} of {swing.window_count} windows)."
+        yield from swing_lines(self.shudder, self.hunting)
         if self.locked_slip_rad_s is not None:
             yield f"Slip where none is wanted: {rpm_from_rad_s(self.locked_slip_rad_s):.0f} rpm."
         heats_kj = [heat / 1e3 for heat in self.application_heats_j]
         heat = f", heat {np.mean(heats_kj):.1f} kJ on average, {max(heats_kj):.1f} at most" if heats_kj else ""
         yield f"Applications: {len(heats_kj)}{heat}."
+
+
+def swing_lines(shudder: Shudder | None, hunting: Shudder | None) -> Iterator[str]:
+    """Yield whether slip swings by itself, fast and slowly, for people."""
+    for what, swing in (("Shudder", shudder), ("Hunting of the slip control", hunting)):
+        if swing is None:
+            yield f"{what}: cannot be told, the rows are too slow or slip is too short."
+        else:
+            seen = f"seen, at {swing.frequency_hz:.1f} Hz" if swing.seen_count >= LEAST_SEEN else "none"
+            yield f"{what}: {seen} ({swing.seen_count} of {swing.window_count} windows)."
 
 
 def slope_lines(slope: LockupSlope | None) -> Iterator[str]:
