@@ -4,6 +4,7 @@
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field, replace
 from typing import ClassVar, Final, Protocol
 
@@ -11,7 +12,7 @@ from canlog.frames import FrameBatch
 from clutch_model.calibration import Calibration, TorqueSource
 from clutch_results.event_kinds import DATED_NS
 from clutch_results.records import ClutchVerdict, Reason, ShiftEstimate, Status, Tier
-from diag_service.diagnosis.columns import ColumnBatch, Signal
+from diag_service.diagnosis.columns import ColumnBatch, GearRatios, Signal
 from diag_service.diagnosis.condition.causes import CauseJudge
 from diag_service.diagnosis.condition.condition import ConditionMemory, VehicleCourse, judge, judge_lockup, no_verdict
 from diag_service.diagnosis.condition.shift_quality import ShiftScorer, measure
@@ -113,11 +114,11 @@ class SignalReach:
     asked: Mapping[str, bool]  # what the tiers are asked with
 
     @classmethod
-    def of(cls, decoder: Decoder, calibration: Calibration) -> "SignalReach":
-        signals, torque = decoder.signals, calibration.torque
+    def of(cls, signals: AbstractSet[Signal], gears: GearRatios | None, calibration: Calibration) -> "SignalReach":
+        torque = calibration.torque
         known = signals - {Signal.ENGINE_TORQUE} if torque is TorqueSource.UNKNOWN else signals
         # The gear can be told from the ratio of two speeds, where the bus has both.
-        knows_gears = decoder.gears is not None and signals >= {Signal.ENGINE_SPEED, decoder.gears.over}
+        knows_gears = gears is not None and signals >= {Signal.ENGINE_SPEED, gears.over}
         asked = {"knows_gears": knows_gears, "has_converter": calibration.converter is not None}
         tier, missing = tier_of(known, **asked), why_no_friction(known, torque, **asked)
         lacks_torque = torque is not TorqueSource.MEASURED or Signal.ENGINE_TORQUE not in signals
@@ -260,7 +261,7 @@ class Stages:
     def __init__(self, decoder: Decoder, calibration: Calibration, belief: Belief | None = None) -> None:
         self.decoder = decoder
         self._calibration = calibration
-        self.reach = SignalReach.of(decoder, calibration)
+        self.reach = SignalReach.of(decoder.signals, decoder.gears, calibration)
         basis = QualityBasis(
             mandatory_messages=decoder.mandatory_messages,
             scale_ends=decoder.limits,
