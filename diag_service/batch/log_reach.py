@@ -8,33 +8,31 @@ import tomllib
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cache, cached_property, partial
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from canlog.database.addressing import NOBODY, why_wrong
+from canlog.database.addressing import LEAST_FIT, NOBODY, why_wrong
 from canlog.decode.codec import Codec
-from canlog.errors import SourceError
+from canlog.errors import DefinitionError, SourceError
 from canlog.frames import FrameBatch
 from canlog.logs import LogFormat, LogReader, read_log
 from canlog.logs.log_counts import lost_texts
+from canlog.traffic import MAX_IDS
 from clutch_results.records import Tier
 from clutchdiag_io.program import legible
 from dbc.contract import DBC_PATH
 from diag_service.console import collected_notices
 from diag_service.diagnosis.columns import Signal
-from diag_service.errors import StoppedError
+from diag_service.errors import ConfigError, StoppedError
 from diag_service.mapping.interpretation import Interpretation, open_database, shipped_meanings
 from diag_service.mapping.learning import proposed_profile
-from diag_service.mapping.mapped_messages import (
-    LOCKUP_PURPOSE,
-    PRESSURES,
-    PURPOSE,
-    missing_for_next,
-)
+from diag_service.mapping.liveness import Liveness
+from diag_service.mapping.mapped_messages import LOCKUP_PURPOSE, PURPOSE
 from diag_service.mapping.profile import Profile, profile_of
+from diag_service.service.log_decision import LogDecision, LogLook, decide, decide_log
 from diag_service.service.stages import SignalReach
 from diag_service.settings.config import PROPOSED, as_profiled, described_by
 from diag_service.stopping import Trigger
@@ -42,6 +40,7 @@ from fleet_contract import JsonObject
 
 REACH_SCHEMA: Final = "clutchdiag/reach/v1"
 NO_LOG: Final = "no log"
+UP_TO_A_SCALE: Final = "friction up to a scale"
 FRAMES_OF_NOBODY: Final = "frames of a bus that no database here knows"
 _NO_TIER: Final = len(Tier) + 1  # below the last one
 _ASKED_OF: Final = {"vw_mqb": "vw_dsg", "vw_mqbevo": "vw_dsg"}
@@ -68,8 +67,8 @@ class LogReach:
 
     @property
     def rank(self) -> int:
-        """Where it stands among logs of a vehicle: the best is 1."""
-        return self.tier or _NO_TIER
+        """Where it stands among logs of a vehicle: the best is 1, what is no log is last."""
+        return self.tier or _NO_TIER + (self.kind == NO_LOG)
 
     def to_record(self) -> JsonObject:
         """Return it as values of JSON, ``tier`` null where there is none."""
@@ -98,31 +97,36 @@ class LogTask:
         return shlex.quote(str(self.path))
 
 
-class Trial:
+class TriedMeaning:
     """One meaning, tried on a log."""
 
     def __init__(self, meaning: Interpretation) -> None:
         self.meaning = meaning
+        calibration, _ = described_by(None, meaning.profile)
+        self.calibration = as_profiled(calibration, meaning.profile)
         self._decoder = meaning.decoder()
+        self._liveness = Liveness.of(self._decoder.signals)
 
     def feed(self, batch: FrameBatch) -> None:
         """Take up what a batch says."""
-        for _ in self._decoder.stream(batch):
-            pass
+        for columns in self._decoder.stream(batch):
+            self._liveness = self._liveness.advanced(columns)
 
     def end(self) -> None:
         """Take up what was held back until the log ended."""
-        self._decoder.drain()
+        for columns in self._decoder.drain():
+            self._liveness = self._liveness.advanced(columns)
 
     @property
-    def living(self) -> frozenset[Signal]:
-        """The signals of which values came that can be believed."""
-        return self._decoder.seen
+    def heard_count(self) -> int:
+        """Of how many signals values came that can be believed."""
+        return len(self._decoder.seen)
 
-    @property
-    def reach(self) -> SignalReach:
-        """What the living signals suffice for, with the transmission that ships for the profile."""
-        return reach_of(self.living, self.meaning.profile)
+    @cached_property
+    def decision(self) -> LogDecision:
+        """How the log is read by this meaning, once it has ended; other profiles are tried by others."""
+        look = LogLook(liveness=self._liveness, received=self._decoder.seen, is_of_columns=True)
+        return decide(self.meaning, self.calibration, look)
 
     @property
     def rejected(self) -> str:
@@ -134,20 +138,14 @@ class Trial:
     @property
     def rank(self) -> tuple[int, int]:
         """The smaller the better: tier, then how many signals live."""
-        return self.reach.tier or _NO_TIER, -len(self.living)
+        return self.decision.tier or _NO_TIER, -len(self.decision.alive)
 
 
-def reach_of(signals: frozenset[Signal], profile: Profile) -> SignalReach:
-    """Return what signals that live suffice for, with the transmission that ships for their profile."""
-    calibration, gears = described_by(None, profile)
-    return SignalReach.of(signals, gears or profile.gears, as_profiled(calibration, profile))
-
-
-class LogTrials:
+class TriedLog:
     """A log of frames, read once with every meaning that is known."""
 
     def __init__(self, dbcs: Sequence[Path]) -> None:
-        self._trials = [Trial(meaning) for meaning in _meanings(tuple(dbcs))]
+        self._trials = [TriedMeaning(meaning) for meaning in _meanings(tuple(dbcs))]
         self._ids: set[int] = set()
         self._dbcs = dbcs
 
@@ -156,7 +154,8 @@ class LogTrials:
         for batch in reader:
             if is_stopped():
                 raise StoppedError("stopped early: nothing is said of a part of a log")
-            self._ids.update(np.unique(batch.can_id).tolist())
+            if len(self._ids) < MAX_IDS:
+                self._ids.update(np.unique(batch.can_id).tolist())
             for trial in self._trials:
                 trial.feed(batch)
         for trial in self._trials:
@@ -175,14 +174,26 @@ class LogTrials:
     def right_dbc(self) -> Path | None:
         """The database of the user that knows most of the log; None if each may know some of it by chance."""
         best = max(self._dbcs, key=self.share_known, default=None)
-        return best if best is not None and self.share_known(best) else None
+        return best if best is not None and self.share_known(best) >= LEAST_FIT else None
 
     @property
-    def ranked(self) -> list[Trial]:
+    def ranked(self) -> list[TriedMeaning]:
         """The meanings that get anything out of the log, the best first."""
-        wrong = {dbc for dbc in self._dbcs if not self.share_known(dbc)}
-        fitting = [trial for trial in self._trials if trial.living and not wrong.intersection(trial.meaning.files)]
-        return sorted(fitting, key=lambda trial: trial.rank)
+        return sorted(filter(self._is_possible, self._trials), key=lambda trial: trial.rank)
+
+    def _is_possible(self, trial: TriedMeaning) -> bool:
+        """Return whether a meaning gets anything out of the log that is hardly there by chance.
+
+        A database of the user knows some of the bus, and a fifth of its identifiers where not even shifts are found.
+        J1939 is known by its groups, of which a few serve.
+        """
+        dbc = next(iter(trial.meaning.files), None)
+        if not trial.heard_count:
+            return False
+        if dbc is None or trial.meaning.profile.is_j1939:
+            return True
+        share = self.share_known(dbc)
+        return share > 0.0 if trial.decision.tier else share >= LEAST_FIT
 
     @property
     def refused(self) -> str:
@@ -203,7 +214,7 @@ def _codec(dbc: Path) -> Codec:
 def look_into(task: LogTask, stop: Trigger | None = None) -> LogReach:
     """Return what a file can tell; of one that cannot be read the reason.
 
-    Raises StoppedError, and DefinitionError if a database of the user cannot be read.
+    Raises StoppedError.
     """
     is_stopped = partial(getattr, stop or Trigger(), "is_set")
     with collected_notices():
@@ -212,46 +223,50 @@ def look_into(task: LogTask, stop: Trigger | None = None) -> LogReach:
                 if reader.columns:
                     return _of_table(task, reader.format.value, is_stopped)
                 return _of_frames(task, reader, is_stopped)
-        except SourceError as exc:
+        except (SourceError, ConfigError, DefinitionError) as exc:
             return unreadable(task, str(exc).removeprefix(f"{task.path}: "))
 
 
 def _of_frames(task: LogTask, reader: LogReader, is_stopped: Callable[[], bool]) -> LogReach:
-    trials = LogTrials(task.dbcs)
+    trials = TriedLog(task.dbcs)
     trials.read(reader, is_stopped)
     losses, log_format = tuple(lost_texts(reader.counts)), reader.format.value
     ranked, dbc = trials.ranked, trials.right_dbc
     best = next(iter(ranked), None)
-    if dbc is not None and (best is None or best.reach.tier is None):
+    if dbc is not None and (best is None or best.decision.tier is None):
         proposed = _proposed_trial(task, dbc, is_stopped)
         if best is None or proposed.rank < best.rank:
             best, ranked = proposed, []
-    if best is None or not best.living:
+    if best is None or not best.decision.alive:
         return LogReach(
             path=task.path, vehicle=task.vehicle, format=log_format, kind=f"{log_format}, {FRAMES_OF_NOBODY}",
             tells="nothing", missing="the database of its bus", remarks=(*losses, *filter(None, [trials.refused])),
             next_step=f"diag-service signals {task.quoted} --dbc FILE  # public ones of many cars: opendbc",
         )  # fmt: skip
-    alike = [other.meaning.profile.name for other in ranked if other is not best and other.living == best.living]
+    alike = [
+        trial.meaning.profile.name
+        for trial in ranked
+        if trial is not best and trial.decision.alive == best.decision.alive
+    ]
     same = (f"profile {' and '.join(dict.fromkeys(alike))} would read the same",) if alike else ()
-    refused = (best.rejected,) if best.reach.tier is None and best.rejected else ()
-    return _row(task, log_format, best, (*losses, *refused, *same))
+    refused = (best.rejected,) if best.decision.tier is None and best.rejected else ()
+    return _row(task, log_format, best, is_stopped, (*losses, *refused, *same))
 
 
 def _of_table(task: LogTask, log_format: str, is_stopped: Callable[[], bool]) -> LogReach:
     trial = _proposed_trial(task, None, is_stopped)
     with closing(read_log(task.path, is_stopped=is_stopped, columns=task.columns)) as reader:
         counts = reader.counts
-    return _row(task, log_format, trial, tuple(lost_texts(counts)))
+    return _row(task, log_format, trial, is_stopped, tuple(lost_texts(counts)))
 
 
-def _proposed_trial(task: LogTask, dbc: Path | None, is_stopped: Callable[[], bool]) -> Trial:
+def _proposed_trial(task: LogTask, dbc: Path | None, is_stopped: Callable[[], bool]) -> TriedMeaning:
     """Return the profile that ``signals`` proposes for a log, tried on it."""
     text = proposed_profile(task.path, dbc, is_stopped, columns=task.columns)
     profile = replace(profile_of(tomllib.loads(text), task.path), name=PROPOSED)
     logs = () if dbc is not None else (task.path,)
     database = open_database(dbc, logs, is_stopped=is_stopped, columns=task.columns)
-    trial = Trial(Interpretation(database=database, profile=profile, files=() if dbc is None else (dbc,)))
+    trial = TriedMeaning(Interpretation(database=database, profile=profile, files=() if dbc is None else (dbc,)))
     with closing(read_log(task.path, is_stopped=is_stopped, columns=task.columns)) as reader:
         for batch in reader:
             if is_stopped():
@@ -261,30 +276,37 @@ def _proposed_trial(task: LogTask, dbc: Path | None, is_stopped: Callable[[], bo
     return trial
 
 
-def _row(task: LogTask, log_format: str, trial: Trial, remarks: Sequence[str]) -> LogReach:
-    profile, reach, living = trial.meaning.profile, trial.reach, trial.living
-    dbc = next(iter(trial.meaning.files), None)
-    has_converter = reach.asked["has_converter"]
-    tells = (LOCKUP_PURPOSE if has_converter else PURPOSE)[reach.tier] if reach.tier else ""
+def _row(
+    task: LogTask, log_format: str, trial: TriedMeaning, is_stopped: Callable[[], bool], remarks: Sequence[str]
+) -> LogReach:
+    meaning, decision, dbc = trial.meaning, trial.decision, next(iter(trial.meaning.files), None)
+    if decision.still:  # where no gear lives, ratios may tell it: that takes another look
+        decision = decide_log(meaning, trial.calibration, [task.path], is_stopped, columns=task.columns)
+    alive, tier = decision.alive, decision.tier
+    reach = SignalReach.of(alive, decision.meaning.profile.gears, trial.calibration)
+    tells = (LOCKUP_PURPOSE if decision.has_converter else PURPOSE)[tier] if tier else ""
     if reach.is_relative:
-        tells = f"{tells}, friction up to a scale" if tells else "friction up to a scale"
-    is_best = reach.tier is Tier.FRICTION or reach.is_relative
-    missing = reach.missing if is_best else missing_for_next(living, **reach.asked)
+        tells = f"{tells}, {UP_TO_A_SCALE}" if tells else UP_TO_A_SCALE
     return LogReach(
         path=task.path,
         vehicle=task.vehicle,
-        kind=_kind(log_format, trial.meaning, dbc),
+        kind=_kind(log_format, meaning, dbc),
         format=log_format,
         database=dbc,
-        profile=profile.name,
-        tier=reach.tier,
+        profile=meaning.profile.name,
+        tier=tier,
         tells=tells or "nothing",
-        missing=missing,
-        next_step=_next_step(task, trial, dbc),
-        remarks=tuple(remarks),
-        signals=tuple(signal.value for signal in Signal if signal in living),
-        absent=tuple(signal.value for signal in Signal if signal in profile.sources.keys() - living),
+        missing=reach.missing if tier is Tier.FRICTION or reach.is_relative else decision.missing,
+        next_step=_next_step(task, meaning.profile, reach, dbc),
+        remarks=(*remarks, *(found.text(_place(meaning.profile, found.signal)) for found in decision.still)),
+        signals=tuple(signal.value for signal in Signal if signal in alive),
+        absent=tuple(signal.value for signal in Signal if signal in meaning.profile.sources.keys() - alive),
     )
+
+
+def _place(profile: Profile, signal: Signal) -> str:
+    source = profile.sources.get(signal)
+    return "" if source is None else source.place
 
 
 def _kind(log_format: str, meaning: Interpretation, dbc: Path | None) -> str:
@@ -299,27 +321,20 @@ def _kind(log_format: str, meaning: Interpretation, dbc: Path | None) -> str:
     return f"{log_format}, frames of {database.name}, {how}"
 
 
-def _next_step(task: LogTask, trial: Trial, dbc: Path | None) -> str:
+def _next_step(task: LogTask, profile: Profile, reach: SignalReach, dbc: Path | None) -> str:
     """Return the command that a person uses next, and behind it what leads to the next better tier."""
-    profile, reach = trial.meaning.profile, trial.reach
     named = "" if dbc is None else f" --dbc {shlex.quote(str(dbc))}"
     is_proposed = profile.name == PROPOSED
-    if reach.tier is None and profile.asked and trial.living >= PRESSURES:
-        return (
-            f"diag-service learn {task.quoted}{named} --profile {profile.name} -o car.toml  # finds the ratios of gears"
-        )
+    if reach.tier is None and profile.asked and reach.is_relative:
+        return f"diag-service learn {task.quoted}{named} --profile {profile.name} -o car.toml  # finds gears"
     if reach.tier is None and not reach.is_relative:
         return f"diag-service signals {task.quoted}{named}  # lists all that it holds; a profile names what is what"
     if is_proposed and dbc is not None:
         return f"diag-service signals {task.quoted}{named} > car.toml  # check it, then analyze --profile car.toml"
     chosen = "" if is_proposed or (dbc is None and profile.name == "dct") else f" --profile {profile.name}"
-    asks = f"  # friction: diag-service try --profile {_ASKED_OF[profile.name]} --active" if _asks(trial) else ""
+    asking = _ASKED_OF.get(profile.name) if reach.tier is not Tier.FRICTION else None
+    asks = f"  # for friction: diag-service try --profile {asking} --active" if asking else ""
     return f"diag-service analyze {task.quoted}{named}{chosen}{asks}"
-
-
-def _asks(trial: Trial) -> bool:
-    """Return whether a shipped profile asks such a transmission for what is missing."""
-    return trial.reach.tier is not Tier.FRICTION and trial.meaning.profile.name in _ASKED_OF
 
 
 def unreadable(task: LogTask, reason: str) -> LogReach:
