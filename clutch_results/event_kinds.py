@@ -1,5 +1,6 @@
 """What happened on a drive: kinds of events, how they end and how well they went, slip that is let be."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Final
@@ -75,9 +76,24 @@ class MicroSlip:
     shudder: Shudder | None = None
 
 
+class NotMeasured(StrEnum):
+    """Why an index of a shift is not to be had."""
+
+    NOT_COMPLETED = "not_completed"
+    SIGNAL_MISSING = "signal_missing"
+    SAMPLED_TOO_SLOWLY = "sampled_too_slowly"
+    SAMPLES_MISSING = "samples_missing"  # in a gap that hides what would be measured
+    SLIP_TOO_SHORT = "slip_too_short"
+    NOT_LOCKED = "not_locked"  # a ratio is that of a gear only while no clutch slips
+    UNTRUSTED = "untrusted"  # the signals contradict each other
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShiftIndices:
-    """What speeds and torques alone say about one shift (docs/model.md, indices of a shift); None: not to be had."""
+    """What speeds and torques alone say about one shift (docs/model.md, indices of a shift); None: not to be had.
+
+    ``std_*`` are standard deviations: by the sampling, the resolution and the scatter of the signals in the event.
+    """
 
     shift_time_s: float | None = None  # None unless the shift was completed
     slip_duration_s: float | None = None  # of the on-coming clutch, inside the shift
@@ -86,6 +102,20 @@ class ShiftIndices:
     torque_capacity_ratio: float | None = None  # clutch torque transmitted at slip over the one asked for
     std_torque_capacity_ratio: float | None = None
     reslip_rad_s: float | None = None  # largest slip under load after it had ended once; 0: none
+    std_shift_time_s: float | None = None
+    std_slip_duration_s: float | None = None
+    std_peak_slip_rad_s: float | None = None
+    slip_energy_j: float | None = None  # heat of the on-coming clutch, by engine torque, inertia and slip
+    std_slip_energy_j: float | None = None
+    jerk_m_s3: float | None = None  # of the car, the largest within the shift
+    std_jerk_m_s3: float | None = None
+    ratio_before: float | None = None  # engine speed over output speed while the old gear is locked
+    std_ratio_before: float | None = None
+    ratio_after: float | None = None  # likewise of the new gear
+    std_ratio_after: float | None = None
+    judder_rad_s: float | None = None  # root mean square of slip between 5 and 20 Hz while the clutch slips
+    std_judder_rad_s: float | None = None
+    not_measured: Mapping[str, NotMeasured] = field(default_factory=dict)  # index, in words of this record -> why
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

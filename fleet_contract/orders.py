@@ -64,6 +64,19 @@ NEARLY_SURE: Final = 80  # percent; what is less sure is not called sound withou
 _SURE: Final = re.compile(r"\((?:over )?(\d+) % sure")
 UNKNOWN_FLUID: Final = "new fluid, of which no shift is known yet"
 _UNSEEN_SINCE: Final = "nothing is known of it with this fluid"
+UNTOLD: Final = "the signals of this vehicle do not tell its friction"
+"""What is said of each clutch of a vehicle whose signals do not suffice, by programs of all versions."""
+LEVEL_UNTOLD: Final = (
+    "the torque of the engine is not measured: friction is known up to a scale at best and cannot be called sound"
+)
+UNKNOWABLE: Final = {
+    UNTOLD: "There is no verdict on the fluid: friction cannot be known from this car.",
+    LEVEL_UNTOLD: (
+        "There is no verdict on the fluid: the torque of the engine is not measured, and without it friction is known "
+        "up to a scale at best."
+    ),
+}
+"""The order for a vehicle of which nothing else is said: it is no matter of a clutch, nor of more events."""
 # What earlier results say besides the finding: an order for one clutch alone.
 _EARLIER: Final = re.compile(
     r"change the fluid now: |have the fluid changed at the next service: |nothing to do [^:]*: |no verdict: |"
@@ -209,6 +222,10 @@ def order_of(findings: Iterable[ClutchFinding], filled_at: datetime | None, elem
     is_unnoted = filled_at is None and newest is not None and _is_renewed(newest, known.values())
     titles = (title_of(clutch, names.get(clutch)) for clutch in clutches)
     reasons = tuple(f"{title}: {text}." for title, text in zip(titles, texts, strict=True))
+    grounds = {_ground(finding) for finding in known.values()}
+    if action is Action.MEASURE_AGAIN and len(grounds) == 1 and grounds <= UNKNOWABLE.keys():
+        # Said once, also for a clutch that no event engaged.
+        sentence, reasons = UNKNOWABLE[grounds.pop()], ()
     return Order(action=action, sentence=sentence, reasons=reasons, notes=(NOT_NOTED,) if is_unnoted else ())
 
 

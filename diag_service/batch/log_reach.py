@@ -43,8 +43,6 @@ NO_LOG: Final = "no log"
 UP_TO_A_SCALE: Final = "friction up to a scale"
 FRAMES_OF_NOBODY: Final = "frames of a bus that no database here knows"
 _NO_TIER: Final = len(Tier) + 1  # below the last one
-_ASKED_OF: Final = {"vw_mqb": "vw_dsg", "vw_mqbevo": "vw_dsg"}
-"""Which profile asks a transmission for the pressures that another one's bus does not have."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,14 +1,29 @@
 """A line per shift and a closing table, for people."""
 
 import sys
+from collections.abc import Iterator
 
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from clutch_model.units import degc_from_k
-from clutch_results.records import LEAST_SLIP_ROWS, Condition, Reason, ShiftEstimate, ShiftResult, Status
+from clutch_results.event_kinds import EndReason
+from clutch_results.measures import (
+    CAPACITY,
+    HEAT,
+    JERK,
+    JUDDER,
+    PEAK_SLIP,
+    SCORE,
+    SHIFT_TIME,
+    SLIP_TIME,
+    Measure,
+    shown_measures,
+)
+from clutch_results.records import LEAST_SLIP_ROWS, Condition, Reason, ShiftEstimate, ShiftResult, Status, Tier
 from clutch_results.shift_course import load_line
+from clutch_results.shifting import ShiftingSummary, percent_words
 from clutchdiag_io.console import PeopleConsole, plain_table
 from clutchdiag_io.people import PLUS_MINUS, SHORT_PLUS_MINUS, half_width, plus_minus
 from clutchdiag_io.program import discard
@@ -24,6 +39,7 @@ from diag_service.diagnosis.summary import (
     ratio_line,
     reason_text,
     scale_free_lines,
+    shifting_lines,
     shifts_line,
     slope_line,
     values_line,
@@ -62,6 +78,10 @@ _STATUS_STYLE = {Status.VALID: "green", Status.REJECTED: "red", Status.UNOBSERVE
 _HEAD = f"{'shift':>5}  {'gears':<5} {'event':<18} {'clutch':>6}  {'status':<10} {'mu_C':>8} {SHORT_PLUS_MINUS:>7} "
 _DETAIL_HEAD = f"{'mu_S':>8} {SHORT_PLUS_MINUS:>7} {'P(slope<0)':>10} {'trust':>5} {'oil':>6} "
 _HEAD_END = " clutch is"
+_EVENT_HEAD = f"{'shift':>5}  {'gears':<5} {'event':<18} {'clutch':>6} "
+_COLUMNS = {SLIP_TIME: 10, SHIFT_TIME: 10, PEAK_SLIP: 10, HEAT: 9, CAPACITY: 15, SCORE: 6, JERK: 11, JUDDER: 9}
+_WITH_STDS = 10  # characters more, for two deviations
+NOT_MEASURED = f"-: not measured; {PLUS_MINUS}"
 
 
 class ConsoleReporter:
@@ -70,7 +90,7 @@ class ConsoleReporter:
     def __init__(self, console: Console, *, is_detailed: bool = False) -> None:
         self._console = console
         self._is_detailed = is_detailed
-        self._has_head = False
+        self._tier: Tier | None = None  # by which the last head was
 
     def report(self, news: News) -> None:
         """Print one of the news; the last one, the numbers of the run, with a table of clutches."""
@@ -81,9 +101,9 @@ class ConsoleReporter:
         elif isinstance(news, Summary):
             self._conclude(news)
         else:
-            if not self._has_head:
-                self._line(shift_head(is_detailed=self._is_detailed))
-                self._has_head = True
+            if news.estimate.tier is not self._tier:
+                self._tier = news.estimate.tier
+                self._line(shift_head(is_detailed=self._is_detailed, tier=self._tier))
             self._line(shift_line(news, is_detailed=self._is_detailed))
 
     def _conclude(self, summary: Summary) -> None:
@@ -91,23 +111,16 @@ class ConsoleReporter:
             self._line(Text(gaps_line(summary.gaps), style="bold red"))
         for sentence in order_lines(summary.order):
             self._line(sentence)
-        if summary.latest:
+        if (shifting := summary.shifting) is not None:
+            self._console.print(shifting_table(shifting))
+        elif summary.latest:
             self._console.print(_clutch_table(summary, is_detailed=self._is_detailed))
-        for result in summary.latest:
-            if line := slope_line(result.verdict):
-                self._line(Text(f"{name_of(result.verdict.clutch, result.verdict.element)}: {line}"))
-        loads = (load_line(load) for _, load in sorted(summary.loads.items()))
-        causes = cause_lines(newest_causes(summary.latest, summary.today_ns))
-        surveyed = (*map(str, summary.relative), *slope_lines(summary.lockup), *filter(None, (summary.held_run,)))
-        for line in (*causes, *loads, *surveyed):
+        for line in _findings_of(summary):
             self._line(Text(line))
         if self._is_detailed:
             self._show_for_specialists(summary)
-        self._line(Text(shifts_line(summary)))
-        self._line(Text(frames_line(summary.frames)))
-        if line := values_line(summary.frames):
-            self._line(Text(line))
-        if line := capability_line(summary):
+        lines = (frames_line(summary.frames), values_line(summary.frames), capability_line(summary))
+        for line in filter(None, (shifts_line(summary), *lines)):
             self._line(Text(line))
 
     def _show_for_specialists(self, summary: Summary) -> None:
@@ -121,6 +134,19 @@ class ConsoleReporter:
     def _line(self, text: Text) -> None:
         self._console.print(text, soft_wrap=True)
         self._console.file.flush()
+
+
+def _findings_of(summary: Summary) -> Iterator[str]:
+    """Yield for people what a run tells besides the order and its table."""
+    for result in summary.latest:
+        if line := slope_line(result.verdict):
+            yield f"{name_of(result.verdict.clutch, result.verdict.element)}: {line}"
+    yield from cause_lines(newest_causes(summary.latest, summary.today_ns))
+    # Where no pressure tells heat, the table has what torque and speeds say of it, and counts launches.
+    loads = (load for _, load in sorted(summary.loads.items()))
+    yield from (load_line(load) for load in loads if any(load.counts) or not summary.untold)
+    yield from (*map(str, summary.relative), *slope_lines(summary.lockup), *filter(None, (summary.held_run,)))
+    yield from shifting_lines(summary)
 
 
 def standard_output_reporter(stop: Trigger, *, as_json: bool, is_detailed: bool) -> Reporter:
@@ -142,13 +168,19 @@ def order_lines(order: Order) -> list[Text]:
     return [Text(order.sentence, style=style), *map(Text, order.reasons), *notes]
 
 
-def shift_head(*, is_detailed: bool = True) -> Text:
+def shift_head(*, is_detailed: bool = True, tier: Tier = Tier.FRICTION) -> Text:
+    """Return the heads of the columns that signals of a tier can fill."""
+    if tier is not Tier.FRICTION:
+        columns = _columns(tier, is_detailed=is_detailed)
+        return Text(_EVENT_HEAD + " ".join(f"{name:>{width}}" for _, name, width in columns), style="bold")
     return Text(f"{_HEAD}{_DETAIL_HEAD if is_detailed else ''}{_HEAD_END}", style="bold")
 
 
 def shift_line(result: ShiftResult, *, is_detailed: bool = True) -> Text:
     """Return one shift as a line; columns as in the head."""
     estimate, verdict = result.estimate, result.verdict
+    if estimate.tier is not Tier.FRICTION:
+        return _untold_line(estimate, is_detailed=is_detailed)
     line = Text(f"{estimate.number:>5}  {gear_words(estimate):<5} {kind_words(estimate):<18} {estimate.clutch:>6}  ")
     line.append(f"{estimate.status.value:<10} ", _STATUS_STYLE[estimate.status])
     friction = estimate.friction
@@ -162,6 +194,52 @@ def shift_line(result: ShiftResult, *, is_detailed: bool = True) -> Text:
     if estimate.revisions:
         line.append(f" [{revision_words(estimate)}]")
     return line
+
+
+def _columns(tier: Tier, *, is_detailed: bool) -> Iterator[tuple[Measure, str, int]]:
+    """Yield measures of a tier, heads and widths; the deviation is shown of what is known least, or to specialists."""
+    shown = shown_measures(tier)
+    for measure in (*shown, JUDDER) if is_detailed else shown:
+        has_stds = (is_detailed or measure is CAPACITY) and measure is not SCORE
+        name = f"{measure.name.removeprefix('torque ')}{f' {SHORT_PLUS_MINUS}' if has_stds else ''}"
+        yield measure, name, _COLUMNS[measure] + _WITH_STDS * (has_stds and measure is not CAPACITY)
+
+
+def _untold_line(estimate: ShiftEstimate, *, is_detailed: bool) -> Text:
+    """Return an event of a vehicle without friction as a line: what is measured, and what was wrong with it."""
+    line = Text(f"{estimate.number:>5}  {gear_words(estimate):<5} {kind_words(estimate):<18} {estimate.clutch:>6} ")
+    cells = []
+    for measure, name, width in _columns(estimate.tier, is_detailed=is_detailed):
+        value, std = measure.read(estimate)
+        shown = "-" if value is None else measure.words(value, std if SHORT_PLUS_MINUS in name else None)
+        cells.append(f"{shown:>{width}}")
+    line.append(" ".join(cells))
+    # That friction is not told is said of the vehicle, not of each event.
+    if estimate.status is Status.REJECTED:
+        line.append(f" [rejected: {reason_words(estimate)}]", _STATUS_STYLE[estimate.status])
+    elif estimate.end_reason not in {None, EndReason.COMPLETE}:
+        line.append(f" [{estimate.end_reason.value.replace('_', ' ')}]")
+    return line
+
+
+def shifting_table(summary: ShiftingSummary) -> Table:
+    """Return how a vehicle shifts, a row for each kind of event and gears; the change is that of the first measure."""
+    shown, over_drives = shown_measures(summary.tier), summary.drive_count > 1
+    names = (one.name.removeprefix("torque ") + (f" [{one.unit}]" if one.unit else "") for one in shown)
+    when = "since the first drive" if over_drives else "over the drive"
+    head = ("event", "count", *names, f"{shown[0].name} {when}")
+    table = plain_table(
+        head, {"event"}, f"How it shifts, by kind and gears; {NOT_MEASURED}; none: no change beyond these"
+    )
+    for row in summary.rows:
+        values = [(measure, row.value(measure)) for measure in shown]
+        cells = ["-" if at is None else measure.number(at.mean, at.std) for measure, at in values]
+        first = values[0][1]
+        change = None if first is None else first.over_drives if over_drives else first.over_drive
+        table.add_row(
+            row.name, str(row.event_count), *cells, "-" if change is None else percent_words(shown[0], change)
+        )
+    return table
 
 
 def revision_words(estimate: ShiftEstimate) -> str:

@@ -7,7 +7,6 @@ from datetime import datetime
 from enum import StrEnum
 from typing import TYPE_CHECKING, Final, Self
 
-from clutch_model.calibration import TorqueSource
 from clutch_results.clocks import NO_TODAY, chronicle_of
 from clutch_results.event_kinds import DATED_NS
 from clutch_results.loads import Load
@@ -20,6 +19,7 @@ from clutch_results.records import (
     Reason,
     ShiftResult,
     ShiftStatistics,
+    Status,
     Tier,
     clutch_record,
     order_record,
@@ -27,7 +27,17 @@ from clutch_results.records import (
     to_plain,
     utc_from_bus_ns,
 )
+from clutch_results.shifting import ShiftingSummary, shifting_of, shifting_record, unknown_friction_words
 from clutchdiag_io.people import STDS, half_width, plus_minus
+from diag_service.diagnosis.capability import (
+    FULL,
+    LOCKUP_TIER_TEXT,
+    NEEDS_HEAD,
+    TIER_TEXT,
+    TORQUE_TEXT,
+    Capability,
+    need_lines,
+)
 from diag_service.diagnosis.condition.verdict import Silence, advice, likely
 from fleet_contract import JsonObject, orders
 
@@ -155,24 +165,6 @@ if TYPE_CHECKING:  # a live service tells no friction up to a scale
 SUMMARY_SCHEMA = "clutchdiag/summary/v1"
 NAMED_SIGNALS = 3  # of those that lost values
 _FRAME_KEYS = {"invalid": "invalid_signals"}  # public, where they are not the names of `FrameCounts`
-TIER_TEXT = {
-    Tier.FRICTION: "friction",
-    Tier.TORQUE: "torque capacity, no friction",
-    Tier.KINEMATIC: "shift time and slip, no friction",
-}
-LOCKUP_TIER_TEXT = TIER_TEXT | {
-    Tier.TORQUE: "slope of friction over slip, no level",
-    Tier.KINEMATIC: "slip and shudder, no friction",
-}
-
-
-TORQUE_TEXT = {
-    TorqueSource.MODELLED: "engine torque is modelled, not measured: friction is told up to a scale, its level is not",
-    TorqueSource.WITHOUT_CUT: (
-        "engine torque is modelled, not measured, and does not show what a shift takes away: only launches, creeping "
-        "and slips in gear tell friction, up to a scale"
-    ),
-}
 
 
 class Gap(StrEnum):
@@ -214,21 +206,6 @@ class FrameCounts:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Capability:
-    """What the signals of a run suffice for."""
-
-    profile: str = "dct"
-    tier: Tier | None = Tier.FRICTION  # None: not even shifts can be found
-    missing: str = ""  # what the next better tier needs; empty at the first
-    unseen: tuple[str, ...] = ()  # mapped canonical signals that never had a value
-    torque: TorqueSource = TorqueSource.MEASURED  # of the engine
-    elements: tuple[str, ...] = ()  # names of the clutches, where they are no pair
-
-
-FULL = Capability()
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Summary:
     """The numbers of a run, at its end or on request."""
 
@@ -245,6 +222,7 @@ class Summary:
     relative: "tuple[RelativeFriction, ...]" = ()  # of a log whose signals tell friction up to a scale
     lockup: "LockupSlope | None" = None  # of a log whose signals tell no level of a lock-up clutch
     held_run: str = ""  # what a clutch carried in a log in one gear, for people
+    untold: tuple[ShiftResult, ...] = ()  # the newest results of a vehicle whose signals do not tell friction
     today_ns: int = NO_TODAY  # when the run was summed up, since 1970
 
     @property
@@ -252,6 +230,11 @@ class Summary:
         """The last result of each clutch, clutch 1 first; of a part of a drive and of old fluid none has a verdict."""
         newest = (unjudged(result, self.gaps) for _, result in sorted(self.shifts.latest.items()))
         return of_present_fluid(newest, self.fluid, self.today_ns)
+
+    @property
+    def shifting(self) -> ShiftingSummary | None:
+        """How a vehicle shifts whose signals do not tell friction; None: they do, or there was no event."""
+        return shifting_of(self.untold) if self.untold else None
 
     @property
     def order(self) -> orders.Order:
@@ -434,6 +417,8 @@ def summary_record(summary: Summary) -> JsonObject:
     frames.pop("invalid_at_first", None)  # for people
     capability = to_plain(summary.capability)
     del capability["elements"]  # results have them
+    if not summary.capability.needs:
+        del capability["needs"]
     if not summary.capability.torque.is_modelled:  # the tier says it
         del capability["torque"]
     return {
@@ -452,6 +437,7 @@ def summary_record(summary: Summary) -> JsonObject:
         **order_record(summary.order),
         "clutches": [clutch_record(shift_record(result), summary.order) for result in summary.latest],
         "capability": capability,
+        **({} if (shifting := summary.shifting) is None else {"shifting": shifting_record(shifting)}),
         **({"loads": [to_plain(load) for _, load in sorted(summary.loads.items())]} if summary.loads else {}),
         **({"relative_friction": [to_plain(friction) for friction in summary.relative]} if summary.relative else {}),
         **({} if summary.lockup is None else {"lockup_slope": to_plain(summary.lockup)}),
@@ -503,12 +489,14 @@ def reason_text(reason: str) -> str:
 
 def shifts_line(summary: Summary) -> str:
     """Return the shift numbers as one line for people."""
-    total = sum(summary.shifts.by_status.values())
-    parts = [_with_reasons(f"{total} shifts", summary.shifts.by_status)]
-    if any(summary.shifts.by_reason.values()):
-        parts.append(
-            _with_reasons("reasons", {reason_text(reason): n for reason, n in summary.shifts.by_reason.items()})
-        )
+    by_status, by_reason = dict(summary.shifts.by_status), dict(summary.shifts.by_reason)
+    total = sum(by_status.values())
+    if summary.untold:  # that friction is not told is said of the vehicle
+        by_status.pop(Status.UNOBSERVED, None)
+        by_reason.pop(Reason.SIGNAL_MISSING, None)
+    parts = [_with_reasons(f"{total} shifts", by_status)]
+    if any(by_reason.values()):
+        parts.append(_with_reasons("reasons", {reason_text(reason): n for reason, n in by_reason.items()}))
     if summary.shifts.known_count:
         parts.append(f"{summary.shifts.known_count} were stored before")
     if summary.unpublished_count:
@@ -516,8 +504,19 @@ def shifts_line(summary: Summary) -> str:
     return ", ".join(parts)
 
 
+def shifting_lines(summary: Summary) -> list[str]:
+    """Return for people what a vehicle without friction tells instead, and what friction would need."""
+    known = summary.shifting
+    needs = list(need_lines(summary.capability))
+    words = [] if known is None else [f"{unknown_friction_words(known, is_relative=bool(summary.relative))}."]
+    return [*words, *([NEEDS_HEAD, *(f"  {need}" for need in needs)] if needs else [])]
+
+
 def capability_line(summary: Summary) -> str:
-    """Return one line for people: what the signals suffice for and what is missing; empty where all is there."""
+    """Return one line for people: what the signals suffice for and what is missing; empty where all is there.
+
+    What friction lacks stands in `shifting_lines` where it is known signal by signal.
+    """
     capability = summary.capability
     has_shifts = any(summary.shifts.by_status.values())
     if not has_shifts and not summary.frames.on_bus:
@@ -532,7 +531,8 @@ def capability_line(summary: Summary) -> str:
         parts.append(f"the signals {shown}: {capability.missing}")
     elif capability.tier is not Tier.FRICTION:
         text = (LOCKUP_TIER_TEXT if capability.elements else TIER_TEXT)[capability.tier]
-        parts.append(f"tier {capability.tier:d} of 3, {text}: {capability.missing}")
+        lacks = "" if capability.needs and has_shifts else f": {capability.missing}"
+        parts.append(f"tier {capability.tier:d} of 3, {text}{lacks}")
     if capability.unseen:
         parts.append(f"mapped by profile {capability.profile}, but never seen: {', '.join(capability.unseen)}")
     return "; ".join(parts)

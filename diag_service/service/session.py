@@ -25,6 +25,7 @@ from clutch_results.records import (
     ShiftResult,
     ShiftStatistics,
     Status,
+    Tier,
     iso_utc,
     parse_shift,
     utc_from_bus_ns,
@@ -106,6 +107,7 @@ ENOUGH_FRAMES: Final = 500  # judged by their counters; about a second of a bus
 SUSPICIOUS_SHARE: Final = 0.2  # two senders in turn come to about a half, one on a bad bus to a few percent
 _LOG = logging.getLogger(__name__)
 MAX_PENDING_COUNT = 1000
+MOST_UNTOLD: Final = 2000  # results without friction, some 2 kB each, that a summary is made of: some ten days of a car
 FOREIGN_SHARE: Final = 0.99  # a message that is worth a profile is a percent of its bus at least
 FOREIGN = (
     "only %d of %d frames are of messages of the profile: the database or profile is probably wrong for this vehicle"
@@ -148,6 +150,7 @@ class Session:
         self._utc_now = utc_now
         self.statistics = ShiftStatistics()
         self._loads: Mapping[int, Load] = {}
+        self._untold: deque[ShiftResult] = deque(maxlen=MOST_UNTOLD)
         self.fluid = store.fluid_at(self.vehicle, utc_now())  # that is in now, as far as its fill is known
         self._fluid_since = belief.memory.fluid_since  # of the fluid that the stages judge
         self._earlier = last_results(
@@ -224,6 +227,8 @@ class Session:
         ):
             self._earlier = {other: result for other, result in self._earlier.items() if other != clutch}
         self._loads = borne(self._loads, result.estimate)
+        if result.estimate.tier is not Tier.FRICTION:
+            self._untold.append(result)
         self.reporter.report(result)
 
     def summary(self, frames: FrameCounts, unpublished_count: int | None) -> Summary:
@@ -238,6 +243,7 @@ class Session:
             fluid=self.fluid,
             loads=self._loads,
             today_ns=self._today_ns,
+            untold=tuple(self._untold),
         )
 
     def finish(

@@ -12,6 +12,7 @@ from canlog.frames import FrameBatch
 from clutch_model.calibration import Calibration, TorqueSource
 from clutch_results.event_kinds import DATED_NS
 from clutch_results.records import ClutchVerdict, Reason, ShiftEstimate, Status, Tier
+from diag_service.diagnosis.capability import Capability
 from diag_service.diagnosis.columns import ColumnBatch, GearRatios, Signal
 from diag_service.diagnosis.condition.causes import CauseJudge
 from diag_service.diagnosis.condition.condition import ConditionMemory, VehicleCourse, judge, judge_lockup, no_verdict
@@ -26,10 +27,10 @@ from diag_service.diagnosis.lockup.state import LockupState
 from diag_service.diagnosis.quality import Gate, QualityBasis, SignalMeaning, gate, named_late
 from diag_service.diagnosis.shifts.shifts import DriveFinder
 from diag_service.diagnosis.shifts.tracking import EventFinder
-from diag_service.diagnosis.summary import Capability
 from diag_service.errors import ConfigError
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.mapped_messages import PRESSURES, missing_for_next, tier_of, why_no_friction
+from diag_service.service.needs import needs_of
 from fleet_contract import JsonObject
 
 DRIVE_NS: Final = 3_600_000_000_000  # within an hour of another event nobody has changed the fluid
@@ -334,4 +335,5 @@ class Stages:
             elements=self._calibration.elements if self.reach.asked["has_converter"] else (),
             torque=self._calibration.torque if Signal.ENGINE_TORQUE in received else TorqueSource.UNKNOWN,
             unseen=tuple(signal.value for signal in Signal if signal in expected - received),
+            needs=needs_of(self.decoder, received, self._calibration.torque, **self.reach.asked),
         )

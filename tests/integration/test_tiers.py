@@ -1,6 +1,7 @@
 """Fewer signals, less said: never a friction below the first tier, and what is missing by name."""
 
 import json
+import re
 import statistics
 from pathlib import Path
 
@@ -72,3 +73,52 @@ def test_a_log_without_shifts_is_accounted_for(drive_log: Path, tmp_path: Path) 
     assert f"{lines} frames, 0 decoded, {lines} ignored" in ended.out
     assert "no shift was found; the signals do not show shifts: shift time and slip need engine speed" in ended.out
     assert "mapped by profile j1939, but never seen: engine_speed_rad_s, pedal_ratio" in ended.out
+
+
+def test_a_car_without_pressures_tells_slip_capacity_and_what_friction_would_need(
+    drive_log: Path, tmp_path: Path
+) -> None:
+    profile = profile_without(tmp_path, "clutch1_pressure", "clutch2_pressure")
+    lines = run("analyze", drive_log, "--profile", profile).out.splitlines()
+    assert " ".join(lines[0].split()) == "shift gears event clutch slip time peak slip heat capacity ± 2 std score"
+    first = next(line for line in lines if " 1-2 " in line)
+    assert re.search(r"power on upshift +2 +\d\.\d\d s +\d+ rpm +(-|\d+\.\d\d kJ) +\d\.\d\d ± \d\.\d\d +\d+$", first)
+    text = "\n".join(lines)
+    assert not re.search("unobserved|signal missing|no verdict$|engaged it|condition", text, re.MULTILINE)
+    assert text.count("friction cannot be known from this car") == 1
+    assert "-: not measured" in text
+    assert f"Friction: cannot be known from this car; shifting: {SHIFT_COUNT} events; power on upshift" in text
+    assert "  clutch 1 pressure: asked for by 22 38EB at 7E1 (profile dct_asked)" in lines
+    assert "  At the car, diag-service try --profile dct_asked --active asks for them" in text
+    summary = run("analyze", drive_log, "--profile", profile, "--json").summary
+    (row,) = (row for row in summary["shifting"]["rows"] if (row["from_gear"], row["to_gear"]) == (1, 2))
+    shift = next(s for s in run("analyze", drive_log, "--profile", profile, "--json").shifts if s["to_gear"] == 2)
+    for key in ("slip_duration_s", "peak_slip_rad_s", "torque_capacity_ratio"):
+        assert row["measures"][key]["mean"] == pytest.approx(shift["indices"][key])
+    assert row["measures"]["torque_capacity_ratio"]["std"] == shift["indices"]["std_torque_capacity_ratio"]
+    assert [need["signal"] for need in summary["capability"]["needs"]] == ["clutch1_pressure_pa", "clutch2_pressure_pa"]
+
+
+def test_a_car_of_speeds_tells_shift_time_slip_and_jerk(drive_log: Path, tmp_path: Path) -> None:
+    ended = run("analyze", drive_log, "--profile", profile_without(tmp_path, "pressure", "torque"))
+    head, *lines = ended.out.splitlines()
+    assert " ".join(head.split()) == "shift gears event clutch shift time slip time peak slip jerk"
+    assert all(re.search(r"\d\.\d\d s +\d\.\d\d s +\d+ rpm +(-|\d+\.\d m/s³)$", line) for line in lines[:SHIFT_COUNT])
+    assert "capacity" not in head + "".join(lines[:SHIFT_COUNT])
+    assert "tier 3 of 3, shift time and slip, no friction" in ended.out
+    assert "  engine torque: asked for by 22 100C at 7E1 (profile dct_asked)" in ended.out
+
+
+def test_where_friction_is_told_nothing_speaks_of_shifting_instead(drive_log: Path) -> None:
+    ended = run("analyze", drive_log)
+    assert not re.search("How it shifts|Friction:|would be needed", ended.out)
+    assert "shifting" not in run("analyze", drive_log, "--json").summary
+
+
+def test_the_request_of_another_maker_is_no_advice(drive_log: Path, tmp_path: Path) -> None:
+    profile = profile_without(tmp_path, "clutch1_pressure", "clutch2_pressure")
+    profile.write_text(profile.read_text(encoding="utf-8").replace('"dct"', '"my_car"'), encoding="utf-8")
+    text = run("analyze", drive_log, "--profile", profile).out
+    assert "38EB" not in text
+    assert "clutch 1 pressure, clutch 2 pressure: not among what was read, and no request is known for this car" in text
+    assert "diag-service scan --active finds who can be asked" in text

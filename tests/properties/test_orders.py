@@ -24,10 +24,11 @@ from clutch_results.records import (
     utc_from_bus_ns,
 )
 from diag_service.delivery.console import order_lines
+from diag_service.diagnosis.condition.condition import no_verdict
 from diag_service.diagnosis.condition.verdict import Cause, Silence, advice
 from diag_service.diagnosis.summary import of_present_fluid, order_by
 from fleet_backend.queries import with_orders
-from fleet_contract.orders import Action, Order
+from fleet_contract.orders import UNKNOWABLE, Action, Order
 from tests.support.builders import shift_result
 from tests.support.fleet import row_of
 
@@ -72,7 +73,9 @@ ORDERS = {
         r".* % likely\)\."
     ),
     Action.NEW_FLUID: r"New fluid since .*: nothing is known of it yet\.",
-    Action.MEASURE_AGAIN: r"There is no verdict on the fluid yet\.",
+    Action.MEASURE_AGAIN: (
+        r"There is no verdict on the fluid( yet|: friction cannot be known from this car|: the torque .* at best)\."
+    ),
     Action.NOTHING: r"Nothing to do now(: the fluid is sound|, but measure again after more drives: .* seems sound)\.",
 }
 
@@ -164,7 +167,10 @@ def check(order: Order, outlook: str) -> None:
     assert re.fullmatch(ORDERS[order.action], order.sentence)
     assert not re.search("drive on|due|already|nothing to do|change the|changed at", " ".join(order.reasons))
     assert not re.search("already|may be due|drive on|(?<!before the )next service|None|nan", outlook)
-    assert [reason[:9] for reason in order.reasons] == ["Clutch 1:", "Clutch 2:"]
+    clutches = (
+        [] if order.sentence in UNKNOWABLE.values() else ["Clutch 1:", "Clutch 2:"]
+    )  # that is said of the vehicle
+    assert [reason[:9] for reason in order.reasons] == clutches
     if order.action is Action.FIND_CAUSE:
         assert outlook.startswith("No prognosis of the fluid before that was seen to.")
     if order.action is Action.CHANGE_NOW:
@@ -210,6 +216,17 @@ def test_no_text_contradicts_another(
     for one in speaking:
         if one.verdict.advice is None and one.verdict.condition is not Condition.NO_VERDICT:
             assert one.verdict.reason in order.reasons[one.verdict.clutch - 1]
+
+
+def test_where_friction_cannot_be_known_it_is_said_once_and_no_clutch_waits_for_an_event() -> None:
+    result = shift_result(11)
+    verdict = no_verdict(1, "friction needs clutch 1 pressure", Silence.SIGNALS_MISSING)
+    untold = replace(result, verdict=verdict, estimate=replace(result.estimate, clutch=1))
+    order = order_by([untold], None)
+    assert order.text == "There is no verdict on the fluid: friction cannot be known from this car."
+    assert order.action is Action.MEASURE_AGAIN
+    row = {**row_of(untold), "happened_at": moment(0), "stored_at": moment(0), "fluid": None, "fluid_since": None}
+    assert next(with_orders([row], {}, {}))["order"] == order.text
 
 
 @given(known=results(), fluid=fluids)

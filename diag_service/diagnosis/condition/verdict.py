@@ -27,7 +27,7 @@ from clutch_results.records import (
     StickSlip,
 )
 from clutchdiag_io.people import plus_minus
-from fleet_contract.orders import title_of
+from fleet_contract.orders import LEVEL_UNTOLD, UNTOLD, title_of
 
 MIN_SHIFT_COUNT = 3  # of two that disagree nobody knows which is wrong
 MAX_MARGIN_STD_RATIO = 0.25  # of the reference margin: beyond it the slope is anyone's guess
@@ -75,10 +75,8 @@ class Silence(StrEnum):
     SLIP_SWINGS = "its slip swings by itself, and its friction does not say why"
     CALIBRATION_MISFIT = "the calibration does not fit this vehicle; diag-service calibrate makes one that does"
     CONVERTER_MISFIT = "the description of its converter does not fit this vehicle; have its numbers looked at"
-    SIGNALS_MISSING = "the signals of this vehicle do not tell its friction"
-    LEVEL_UNKNOWN = (
-        "the torque of the engine is not measured: friction is known up to a scale at best and cannot be called sound"
-    )
+    SIGNALS_MISSING = UNTOLD
+    LEVEL_UNKNOWN = LEVEL_UNTOLD
     SENSOR_DRIFTED = "a sensor by which it is judged has probably drifted; have that mended, then calibrate anew"
     DATA_CONTRADICT = (
         "its last events were refused, ten or more, because its sensors contradict each other or the commands; have "

@@ -27,9 +27,10 @@ from clutch_results.records import (
     status_record,
     utc_from_bus_ns,
 )
+from diag_service.diagnosis.capability import Capability
 from diag_service.diagnosis.condition.condition import ConditionMemory, judge
 from diag_service.diagnosis.friction import Posterior
-from diag_service.diagnosis.summary import Capability, FrameCounts, Summary, capability_line, of_own_fluid, order_by
+from diag_service.diagnosis.summary import FrameCounts, Summary, capability_line, of_own_fluid, order_by
 from fleet_contract import schema
 from fleet_contract.errors import ResultError
 from fleet_contract.orders import Action
