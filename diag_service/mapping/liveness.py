@@ -30,7 +30,7 @@ JOINT_MOVE: Final = 0.08  # of a speed: more than noise, less than any gear is d
 LEAST_POINTS: Final = 4  # of a joint move
 OTHER_GEAR: Final = 0.13  # logarithm of two ratios: neighbouring gears are 15 % apart, a converter slips by less
 MOVED_COUNT: Final = 3  # values away from the first one: fewer may be damage
-STILL: Final[Mapping[str, float]] = {"_rad_s": 1.0, "_m_s": 0.3, "_nm": 1.0, "_pa": 2e3}
+STILL: Final[Mapping[str, float]] = {"_rad_s": 1.0, "_m_s": 0.3, "_nm": 1.0}
 """By how much a signal that stands still may scatter, by the unit that ends its name."""
 LEAST_RECORDED: Final = 2  # occasions at the end of a log that make a still signal an absent one
 LEAST_LIVE: Final = 3  # of a bus, of which nobody knows what comes
@@ -41,7 +41,7 @@ class Occasion(Enum):
 
     JOINT_MOVE = "engine and road speed moved together"
     BOTH_WAYS = "engine and road speed rose and fell together"
-    GEAR_CHANGE = "their ratio changed from one gear's to another's"
+    GEAR_CHANGE = "the ratio of engine and road speed changed from one gear's to another's"
 
 
 DEMANDS: Final[Mapping[Signal, Occasion]] = {
@@ -55,10 +55,9 @@ DEMANDS: Final[Mapping[Signal, Occasion]] = {
     Signal.ENGINE_TORQUE: Occasion.BOTH_WAYS,
     Signal.CLUTCH_TORQUE: Occasion.GEAR_CHANGE,
     **dict.fromkeys((Signal.CLUTCH1_TORQUE_COMMAND, Signal.CLUTCH2_TORQUE_COMMAND), Occasion.GEAR_CHANGE),
-    **dict.fromkeys((Signal.CLUTCH1_PRESSURE, Signal.CLUTCH2_PRESSURE), Occasion.GEAR_CHANGE),
 }
-"""Which occasion each signal must move at; the others may stand still through any drive. Wheels are not among them: on
-a dynamometer an axle stands."""
+"""Which occasion each signal must move at; the others may stand still through any drive. Wheels are not among them,
+as on a dynamometer an axle stands, nor pressures: a sensor that fails is a matter of data quality."""
 _FRONTS: Final = (Signal.ENGINE_SPEED, Signal.TURBINE_SPEED, Signal.INPUT_SPEED)
 _BEHINDS: Final = (Signal.OUTPUT_SPEED, Signal.VEHICLE_SPEED, Signal.WHEEL_FL_SPEED, Signal.WHEEL_RL_SPEED)
 
@@ -174,13 +173,12 @@ class StillSignal:
 
     def text(self, place: str) -> str:
         """Return a sentence; ``place`` is where the profile finds the signal."""
-        name, words = place or self.signal.value, signal_words(self.signal)
-        often = f"though {self.occasion.value} {self.count} times"
-        if self.value is None:
-            return f"{name} ({words}) never had a value, {often}: taken as absent"
-        _, shown, unit = for_people(self.signal.value, self.value)
-        stands = f"{digits(shown)} {unit}".rstrip()
-        return f"{name} ({words}) is {stands} throughout, {often}: taken as absent"
+        stands = "never had a value"
+        if self.value is not None:
+            _, shown, unit = for_people(self.signal.value, self.value)
+            stands = f"is {digits(shown)} {unit if shown else ''}".rstrip() + " throughout"
+        why = f"{signal_words(self.signal)}; {self.occasion.value} {self.count} times"
+        return f"{place or self.signal.value} {stands}: taken as absent ({why})"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -14,7 +14,7 @@ from cantools.database.can import Database
 
 from canlog.database.addressing import NOBODY, address_book, find_slots
 from canlog.errors import InputLeftError
-from canlog.logs import STANDARD_INPUT
+from canlog.files import is_plain_file
 from canlog.logs.streams import never
 from clutch_model.calibration import Calibration, TorqueSource
 from clutch_results.records import Tier
@@ -166,7 +166,7 @@ def look_at(
     """Return what a first reading of a drive finds; nothing is found of what comes through a pipe."""
     decoder = meaning.decoder()
     liveness, heard = Liveness.of(decoder.signals), set[int]()
-    if STANDARD_INPUT in paths:
+    if not all(map(is_plain_file, paths)):  # standard input is none either
         return LogLook(liveness=liveness, received=decoder.signals)
     for batch in _read(decoder, paths, is_stopped, columns, heard):
         liveness = liveness.advanced(batch)

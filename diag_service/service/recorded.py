@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from canlog.errors import InputLeftError
 from canlog.logs.reading import Watch
+from clutchdiag_io.program import legible
 from diag_service.delivery import Outbox, Reporter
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.summary import Contributions, FrameCounts, Gap, Summary
@@ -25,6 +26,7 @@ from diag_service.service.drive import (
     stream_of_drive,
     warn_of_faults,
 )
+from diag_service.service.log_decision import decide_log
 from diag_service.service.session import SenderWatch, Session
 from diag_service.service.stages import Stages
 from diag_service.settings.config import DiagnosisConfig
@@ -161,7 +163,16 @@ def run_recorded(
     of the same logs takes it up. Raises what ``open_drive`` and ``opened_store`` raise, ConfigError for frames that
     cannot be interpreted.
     """
-    meaning = meaning or config.interpretation()
+    decision = decide_log(
+        meaning or config.interpretation(),
+        config.calibration,
+        paths,
+        lambda: stop.is_set,
+        columns=config.columns,
+    )
+    for note in decision.notes:
+        _LOG.warning("%s", legible(note))
+    meaning = decision.meaning
     decoder = meaning.decoder()
     with open_drive(
         paths, is_strict=config.is_strict, is_stopped=lambda: stop.is_set, watch=watch, columns=config.columns
