@@ -25,6 +25,7 @@ from clutch_results.records import Tier
 from clutchdiag_io.program import legible
 from dbc.contract import DBC_PATH
 from diag_service.console import collected_notices
+from diag_service.diagnosis.capability import SignalNeed
 from diag_service.diagnosis.columns import Signal
 from diag_service.errors import ConfigError, StoppedError
 from diag_service.mapping.interpretation import Interpretation, open_database, shipped_meanings
@@ -33,6 +34,7 @@ from diag_service.mapping.liveness import Liveness
 from diag_service.mapping.mapped_messages import LOCKUP_PURPOSE, PURPOSE
 from diag_service.mapping.profile import Profile, profile_of
 from diag_service.service.log_decision import LogDecision, LogLook, decide, decide_log
+from diag_service.service.needs import needs_of
 from diag_service.service.stages import SignalReach
 from diag_service.settings.config import PROPOSED, as_profiled, described_by
 from diag_service.stopping import Trigger
@@ -125,6 +127,13 @@ class TriedMeaning:
         """How the log is read by this meaning, once it has ended; other profiles are tried by others."""
         look = LogLook(liveness=self._liveness, received=self._decoder.seen, is_of_columns=True)
         return decide(self.meaning, self.calibration, look)
+
+    @property
+    def needs(self) -> tuple[SignalNeed, ...]:
+        """What friction lacks, and by which profile each could be asked for."""
+        alive, gears = self.decision.alive, self.meaning.profile.gears
+        asked = SignalReach.of(alive, gears, self.calibration).asked
+        return needs_of(self._decoder, alive, self.calibration.torque, **asked)
 
     @property
     def rejected(self) -> str:
@@ -295,7 +304,7 @@ def _row(
         tier=tier,
         tells=tells or "nothing",
         missing=reach.missing if tier is Tier.FRICTION or reach.is_relative else decision.missing,
-        next_step=_next_step(task, meaning.profile, reach, dbc),
+        next_step=_next_step(task, trial, reach, dbc),
         remarks=(*remarks, *(found.text(_place(meaning.profile, found.signal)) for found in decision.still)),
         signals=tuple(signal.value for signal in Signal if signal in alive),
         absent=tuple(signal.value for signal in Signal if signal in meaning.profile.sources.keys() - alive),
@@ -319,8 +328,9 @@ def _kind(log_format: str, meaning: Interpretation, dbc: Path | None) -> str:
     return f"{log_format}, frames of {database.name}, {how}"
 
 
-def _next_step(task: LogTask, profile: Profile, reach: SignalReach, dbc: Path | None) -> str:
+def _next_step(task: LogTask, trial: TriedMeaning, reach: SignalReach, dbc: Path | None) -> str:
     """Return the command that a person uses next, and behind it what leads to the next better tier."""
+    profile = trial.meaning.profile
     named = "" if dbc is None else f" --dbc {shlex.quote(str(dbc))}"
     is_proposed = profile.name == PROPOSED
     if reach.tier is None and profile.asked and reach.is_relative:
@@ -330,7 +340,7 @@ def _next_step(task: LogTask, profile: Profile, reach: SignalReach, dbc: Path | 
     if is_proposed and dbc is not None:
         return f"diag-service signals {task.quoted}{named} > car.toml  # check it, then analyze --profile car.toml"
     chosen = "" if is_proposed or (dbc is None and profile.name == "dct") else f" --profile {profile.name}"
-    asking = _ASKED_OF.get(profile.name) if reach.tier is not Tier.FRICTION else None
+    asking = next((need.profile for need in trial.needs if need.profile not in ("", profile.name)), None)
     asks = f"  # for friction: diag-service try --profile {asking} --active" if asking else ""
     return f"diag-service analyze {task.quoted}{named}{chosen}{asks}"
 
