@@ -10,7 +10,7 @@ from markupsafe import Markup
 
 from canlog.arrays import FloatArray
 from clutch_model.calibration import FrictionCurve
-from clutch_model.units import rad_s_from_rpm, rpm_from_rad_s
+from clutch_model.units import NS_PER_S, rad_s_from_rpm, rpm_from_rad_s
 from clutch_results.curves import (
     CALIBRATED_RATIO,
     CHANGE_LEVEL_RATIO,
@@ -20,12 +20,15 @@ from clutch_results.curves import (
     margin_left,
     new_curve,
 )
+from clutch_results.event_kinds import DATED_NS, GEAR_CHANGES
+from clutch_results.measures import Measure
 from clutch_results.prognosis import Prognosis, forecast
 from clutch_results.prognosis.history import UNSEEN_M
 from clutch_results.prognosis.prognosis import M_PER_KM
 from clutch_results.prognosis.sentence import soonest
 from clutch_results.records import Condition, FluidFill, FrictionEstimate, ShiftResult, utc_from_bus_ns
-from clutchdiag_io.pages.plot import HEIGHT, MARGIN_PX, WIDTH, Axis, Plot, broken
+from clutch_results.shifting import drives_of, shifting_of
+from clutchdiag_io.pages.plot import HEIGHT, MARGIN_PX, WIDTH, Axis, Plot, broken, thinned
 from clutchdiag_io.people import STDS
 from fleet_contract.orders import Action, title_of
 
@@ -47,6 +50,7 @@ UNFORETOLD: Final = (Action.CHANGE_NOW, Action.FIND_CAUSE, Action.NEW_FLUID)
 MARK_ROWS: Final = 5  # in which names of moments stand; what has no room in them is a line without a name
 LETTER: Final = 17.0  # pixels of a picture of full width, where a small screen draws it small
 MARK_GAP: Final = 12.0  # pixels between a line and the next name
+SECONDS_A_DAY: Final = 86_400.0
 LATE_SHARE: Final = 0.75  # of the axis: behind it names stand before their lines, as `Plot.moment` sets them
 
 
@@ -293,3 +297,63 @@ def curve_picture(
     plot.band(slip_rpm, low, high, f"band clutch{clutch}")
     plot.line(slip_rpm, mean, f"line strong clutch{clutch}")
     return plot.markup()
+
+
+KIND_STYLES: Final = ("clutch1", "clutch2", "ink", "new dashed")  # of lines, one a kind of event
+
+
+def shifting_picture(
+    results: Sequence[ShiftResult], measure: Measure, size: tuple[int, int]
+) -> tuple[Markup, list[tuple[str, str]]] | None:
+    """Return a measure of the commonest kinds of event along the drives, and what its lines stand for.
+
+    Of one drive each event is a point, of several each drive. None where no kind has two points. ``results`` are of one
+    vehicle, the oldest first.
+    """
+    drives = drives_of(results)
+    place, along = _along(drives)
+    kinds = sorted(shifting_of(results).rows, key=lambda row: (row.kind not in GEAR_CHANGES, -row.event_count))
+    lines: list[tuple[str, FloatArray, FloatArray]] = []
+    for row in kinds:
+        points = [
+            [
+                (at, value)
+                for at, estimate in zip(places, (result.estimate for result in drive), strict=True)
+                if (estimate.kind, estimate.from_gear, estimate.to_gear) == (row.kind, row.from_gear, row.to_gear)
+                and (value := measure.read(estimate)[0]) is not None
+            ]
+            for places, drive in zip(along, drives, strict=True)
+        ]
+        told = points[0] if len(drives) == 1 else [tuple(np.mean(group, axis=0)) for group in points if group]
+        if len(told) > 1 and len(lines) < len(KIND_STYLES):
+            x, y = np.array(sorted(told), np.float64).T
+            drawn = thinned(y, MOST_POINTS)
+            lines.append((row.name, x[drawn], measure.scale * y[drawn]))
+    if not lines:
+        return None
+    unit = f" [{measure.unit}]" if measure.unit else ""
+    x_axis = Axis.around(place, *(x for _, x, _ in lines), margin_ratio=0.02)
+    y_axis = Axis.around(f"{measure.name}{unit}", [0.0], *(y for *_, y in lines))
+    plot = Plot(f"{measure.name} over {place}: the table has the means", x_axis, y_axis, width=size[0], height=size[1])
+    for style, (_, x, y) in zip(KIND_STYLES, lines, strict=False):
+        plot.line(x, y, f"line {style}")
+    return plot.markup(), [(style, name) for style, (name, *_) in zip(KIND_STYLES, lines, strict=False)]
+
+
+def _along(drives: Sequence[Sequence[ShiftResult]]) -> tuple[str, list[list[float]]]:
+    """Return over what events are drawn, and the place of each: minutes of one drive, kilometres, days or drives."""
+    starts_s = [[result.estimate.start_ns / NS_PER_S for result in drive] for drive in drives]
+    first_s, last_s = starts_s[0][0], starts_s[-1][-1]
+    if len(drives) == 1:
+        return "time in the drive [min]", [[(at_s - first_s) / 60.0 for at_s in starts_s[0]]]
+    odometers_m = [[result.estimate.conditions.odometer_m for result in drive] for drive in drives]
+    known_m = [[odometer_m for odometer_m in drive if odometer_m is not None] for drive in odometers_m]
+    if [len(drive) for drive in known_m] == [len(drive) for drive in drives]:
+        flat_m = [odometer_m for drive in known_m for odometer_m in drive]
+        if max(flat_m) - min(flat_m) >= LEAST_KM * M_PER_KM:
+            return "odometer [km]", [[odometer_m / M_PER_KM for odometer_m in drive] for drive in known_m]
+    if first_s * NS_PER_S >= DATED_NS and last_s - first_s >= SECONDS_A_DAY:
+        return "days since the first drive", [
+            [(at_s - first_s) / SECONDS_A_DAY for at_s in drive] for drive in starts_s
+        ]
+    return "drive", [[float(number)] * len(drive) for number, drive in enumerate(drives, 1)]

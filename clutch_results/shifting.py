@@ -31,6 +31,7 @@ LEAST_FREEDOM: Final = 2  # events beyond the numbers that a change is fitted wi
 EVENTS_PER_NUMBER: Final = 4  # of a fit, before one more condition is taken into account
 DRIVES_DIFFER_RATIO: Final = 0.05  # one deviation of the middles of drives of an unchanged vehicle [C]
 DRIVES_KNOWN: Final = 4.0  # as many drives as that assumption is worth [C]
+CLEAR_COUNT: Final = 4  # events of a kind that tell how much it scatters
 KINDS_KNOWN: Final = 4  # as many events the scatter of the other kinds of event is worth, beside that of a kind [C]
 LEAST_SCATTER: Final = 1e-3  # of events, over their size: no measure is known better
 CHANCE: Final = 0.0455  # of a normal error beyond two deviations
@@ -131,7 +132,7 @@ def shifting_of(results: Iterable[ShiftResult]) -> ShiftingSummary:
     Dates are taken as they are: who doubts them passes `clocks.chronicle_of(...).results`. Results without a date
     count as one drive a stream, in the order of their arrival. Pure; nothing is raised, whatever is measured.
     """
-    drives = _drives(results)
+    drives = drives_of(results)
     events = [_Event(result.estimate, number) for number, drive in enumerate(drives) for result in drive]
     if not events:
         return ShiftingSummary(event_count=0, drive_count=0, tier=None, rows=(), overall=())
@@ -179,7 +180,7 @@ class _Told:
     group: int = 0
 
 
-def _drives(results: Iterable[ShiftResult]) -> list[list[ShiftResult]]:
+def drives_of(results: Iterable[ShiftResult]) -> list[list[ShiftResult]]:
     """Return results drive by drive, the earliest first: an hour's pause ends one, and so does a log without a date."""
     streams: dict[str, list[ShiftResult]] = {}
     for result in results:
@@ -227,10 +228,13 @@ class _UsualScatter:
 def _usual_scatter(measure: Measure, groups: Sequence[Sequence[_Event]]) -> _UsualScatter:
     kinds = [np.array([one.value for one in _told(measure, group)]) for group in groups]
     least = 0.5 * float(np.median([abs(kind.mean()) for kind in kinds if kind.size] or [0.0]))
-    ratios = [(kind - kind.mean()) / max(abs(kind.mean()), least, _LEAST_SPREAD) for kind in kinds if kind.size > 1]
-    freedom = sum(kind.size - 1 for kind in ratios)
-    square = sum(float(kind @ kind) for kind in ratios)
-    return _UsualScatter(math.sqrt(square / max(freedom, 1)), least, min(freedom, KINDS_KNOWN))
+    several = [kind for kind in kinds if kind.size > 1 and least > 0.0]
+    squares = [float(np.var(kind, ddof=1)) / max(abs(kind.mean()), least) ** 2 for kind in several]
+    sizes = [kind.size for kind in several]
+    # Launches scatter as nothing else does: the middle kind stands for the others, of those that tell their scatter.
+    clear = [square for square, size in zip(squares, sizes, strict=True) if size >= CLEAR_COUNT] or squares
+    freedom = sum(size - 1 for size in sizes)
+    return _UsualScatter(math.sqrt(float(np.median(clear or [0.0]))), least, min(freedom, KINDS_KNOWN))
 
 
 def _value(measure: Measure, group: Sequence[_Event], drive_count: int, usual: _UsualScatter) -> ShiftingValue | None:

@@ -1,7 +1,7 @@
 """A line per shift and a closing table, for people."""
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 from rich.console import Console
 from rich.table import Table
@@ -222,23 +222,36 @@ def _untold_line(estimate: ShiftEstimate, *, is_detailed: bool) -> Text:
     return line
 
 
-def shifting_table(summary: ShiftingSummary) -> Table:
-    """Return how a vehicle shifts, a row for each kind of event and gears; the change is that of the first measure."""
+def shifting_heads(shown: Iterable[Measure]) -> Iterator[str]:
+    """Yield the heads of columns of measures: name and unit."""
+    return (one.name.removeprefix("torque ") + (f" [{one.unit}]" if one.unit else "") for one in shown)
+
+
+def shifting_rows(summary: ShiftingSummary) -> Iterator[tuple[str, ...]]:
+    """Yield how a vehicle shifts as cells, the heads first: a row for each kind of event and gears.
+
+    The change is that of the first measure.
+    """
     shown, over_drives = shown_measures(summary.tier), summary.drive_count > 1
-    names = (one.name.removeprefix("torque ") + (f" [{one.unit}]" if one.unit else "") for one in shown)
-    when = "since the first drive" if over_drives else "over the drive"
-    head = ("event", "count", *names, f"{shown[0].name} {when}")
-    table = plain_table(
-        head, {"event"}, f"How it shifts, by kind and gears; {NOT_MEASURED}; none: no change beyond these"
-    )
+    change_head = f"{shown[0].name} {'since the first drive' if over_drives else 'over the drive'}"
+    yield "event", "count", *shifting_heads(shown), change_head
     for row in summary.rows:
         values = [(measure, row.value(measure)) for measure in shown]
         cells = ["-" if at is None else measure.number(at.mean, at.std) for measure, at in values]
         first = values[0][1]
         change = None if first is None else first.over_drives if over_drives else first.over_drive
-        table.add_row(
-            row.name, str(row.event_count), *cells, "-" if change is None else percent_words(shown[0], change)
-        )
+        yield row.name, str(row.event_count), *cells, "-" if change is None else percent_words(shown[0], change)
+
+
+SHIFTING_LEGEND = f"How it shifts, by kind and gears; {NOT_MEASURED}; none: no change beyond these"
+
+
+def shifting_table(summary: ShiftingSummary) -> Table:
+    """Return how a vehicle shifts as a table."""
+    head, *rows = shifting_rows(summary)
+    table = plain_table(head, {"event"}, SHIFTING_LEGEND)
+    for cells in rows:
+        table.add_row(*cells)
     return table
 
 

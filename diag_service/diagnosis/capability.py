@@ -53,7 +53,11 @@ class Capability:
 FULL = Capability()
 
 
-NEEDS_HEAD: Final = "What would be needed for friction:"
+NEEDS_HEAD: Final = "What would be needed for friction"
+AT_THE_CAR: Final = (
+    "At the car, diag-service try --active asks for what other cars tell, and diag-service scan --active finds who can "
+    "be asked; without --active both only listen."
+)
 
 
 def need_lines(capability: Capability) -> Iterator[str]:
@@ -67,7 +71,4 @@ def need_lines(capability: Capability) -> Iterator[str]:
     for profile in dict.fromkeys(need.profile for need in asked if need.profile != capability.profile):
         yield f"At the car, diag-service try --profile {profile} --active asks for them; without --active it says how."
     if others and not asked:
-        yield (
-            "At the car, diag-service try --active asks for what other cars tell, and diag-service scan --active "
-            "finds who can be asked; without --active both only listen."
-        )
+        yield AT_THE_CAR

@@ -508,8 +508,13 @@ def shifting_lines(summary: Summary) -> list[str]:
     """Return for people what a vehicle without friction tells instead, and what friction would need."""
     known = summary.shifting
     needs = list(need_lines(summary.capability))
-    words = [] if known is None else [f"{unknown_friction_words(known, is_relative=bool(summary.relative))}."]
-    return [*words, *([NEEDS_HEAD, *(f"  {need}" for need in needs)] if needs else [])]
+    words = [] if known is None else [f"{unknown_friction_words(known, is_relative=is_relative(summary.untold))}."]
+    return [*words, *([f"{NEEDS_HEAD}:", *(f"  {need}" for need in needs)] if needs else [])]
+
+
+def is_relative(untold: Sequence[ShiftResult]) -> bool:
+    """Return whether all that is lacking of a vehicle's friction is its scale."""
+    return bool(untold) and orders.LEVEL_UNTOLD in str(untold[-1].verdict.advice)
 
 
 def capability_line(summary: Summary) -> str:

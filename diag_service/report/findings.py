@@ -11,9 +11,10 @@ from clutch_model.calibration import Calibration, TorqueSource
 from clutch_model.units import NS_PER_S
 from clutch_results.clocks import NO_TODAY, Chronicle, chronicle_of
 from clutch_results.event_kinds import DATED_NS, GEAR_CHANGES
-from clutch_results.records import FluidFill, ShiftResult, Status, utc_from_bus_ns
+from clutch_results.records import FluidFill, ShiftResult, Status, Tier, utc_from_bus_ns
 from clutchdiag_io.people import NOT_SET
 from diag_service.delivery import MemoryReporter
+from diag_service.diagnosis.capability import AT_THE_CAR, need_lines
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.summary import (
     Gap,
@@ -35,6 +36,7 @@ from diag_service.store import Row, StoreReader, Versions
 from fleet_contract import CLUTCHES
 from fleet_contract.orders import Order, title_of
 
+_NEEDED: Final = "friction needs "  # in the reason of a verdict, before the signals that it lacks
 _SHOWN: Final = (Status.VALID, Status.REJECTED, Status.UNOBSERVED)
 
 
@@ -80,6 +82,22 @@ class Findings:
         lockup = None if self.summary is None else self.summary.lockup
         fluid, doubts = self.fills[-1] if self.fills else None, self._chronicle.doubts
         return order_by(self.latest, fluid, self._elements, lockup, today_ns=self.today_ns, doubts=doubts)
+
+    @property
+    def untold(self) -> tuple[ShiftResult, ...]:
+        """The results of a vehicle whose signals do not tell friction, by dates that can be believed; none: they do."""
+        results = self.results
+        if not results or results[-1].estimate.tier is Tier.FRICTION:
+            return ()
+        return tuple(result for result in results if result.estimate.tier is not Tier.FRICTION)
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """What friction would need, for people; a store knows no profile, and says it by signals alone."""
+        if self.summary is not None:
+            return tuple(need_lines(self.summary.capability))
+        reasons = dict.fromkeys(result.verdict.reason.rpartition(_NEEDED)[-1] for result in self.latest if self.untold)
+        return (*(f"{reason}." for reason in reasons), *((AT_THE_CAR,) if reasons else ()))
 
     @property
     def _elements(self) -> tuple[str, ...]:

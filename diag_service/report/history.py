@@ -1,4 +1,4 @@
-"""The history in a store: the friction of each clutch, fluid by fluid."""
+"""The history in a store: the friction of each clutch, fluid by fluid; without it how the vehicle shifts."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -12,11 +12,13 @@ from clutch_results import records, shift_course
 from clutch_results.event_kinds import events_text
 from clutch_results.prognosis import Peers, Population, Prognosis, history_of, prognose, without
 from clutch_results.prognosis.sentence import outlook_line
+from clutch_results.shifting import MOST_NAMED, seen_changes, shifting_of, shifting_record, unknown_friction_words
 from clutchdiag_io.console import plain_table
 from clutchdiag_io.pages.content import spread
 from clutchdiag_io.people import PLUS_MINUS, plus_minus
-from diag_service.delivery.console import condition_words, order_lines
-from diag_service.diagnosis.summary import cause_lines, latest_of, newest_causes
+from diag_service.delivery.console import condition_words, order_lines, shifting_table
+from diag_service.diagnosis.capability import NEEDS_HEAD
+from diag_service.diagnosis.summary import cause_lines, is_relative, latest_of, newest_causes
 from diag_service.report.findings import Findings, moment_words
 from diag_service.store import Row
 from fleet_contract import JsonObject
@@ -68,13 +70,17 @@ def periods_of(findings: Findings, clutch: int) -> list[FluidPeriod]:
 
 
 def history_records(findings: Findings, clutches: Sequence[int]) -> Iterator[JsonObject]:
-    """Yield a record per event of the clutches, in order, and a last one with the fills."""
+    """Yield a record per event of the clutches, in order, how they shift if that is all, and the fills."""
     for clutch in clutches:
         number = 0
         for period in periods_of(findings, clutch):
             for row in period.rows:
                 number += 1
                 yield _event_record(row, clutch, number, period.fill)
+    if findings.untold:
+        untold = [result for result in findings.untold if result.estimate.clutch in clutches]
+        shifting = shifting_record(shifting_of(untold))
+        yield {"schema": HISTORY_SCHEMA, "record": "shifting", "vehicle": findings.vehicle, **shifting}
     yield {
         "schema": HISTORY_SCHEMA,
         "record": "fills",
@@ -98,6 +104,9 @@ def history_lines(
     yield Text(f"{findings.vehicle}: {events_text(len(findings.rows))}{left_out}")
     yield from order_lines(findings.order)
     yield from map(Text, cause_lines(newest_causes(findings.latest, findings.today_ns)))
+    if findings.untold:
+        yield from _untold_lines(findings, clutches)
+        return
     peers = peers_of(findings, population)
     known = "" if peers is None else f" Before its own results: as {peers.life_count} lives of its peers."
     yield Text(outlook_of(findings, prognoses_of(findings, population)) + known)
@@ -110,6 +119,19 @@ def history_lines(
         yield _fluid_table(findings.title(clutch), periods)
         yield _event_table(findings.title(clutch), periods, most_rows, is_dated=findings.is_dated)
     yield from _course(findings)
+
+
+def _untold_lines(findings: Findings, clutches: Sequence[int]) -> Iterator[Text | Table]:
+    """Yield how a vehicle shifts whose signals do not tell friction: by kind and gears, and what changed."""
+    untold = [result for result in findings.untold if result.estimate.clutch in clutches]
+    shifting = shifting_of(untold)
+    yield Text(f"{unknown_friction_words(shifting, is_relative=is_relative(untold))}.")
+    yield shifting_table(shifting)
+    yield from (Text(f"Changed: {change}.") for change in seen_changes(shifting)[MOST_NAMED:])
+    yield from map(Text, shift_course.course_lines(shift_course.courses(result.estimate for result in untold)))
+    if findings.needs:
+        yield Text(f"{NEEDS_HEAD}:")
+        yield from (Text(f"  {need}") for need in findings.needs)
 
 
 def _course(findings: Findings) -> Iterator[Text | Table]:

@@ -17,15 +17,26 @@ from canlog.files import replacing
 from clutch_model.units import NS_PER_S, bar_from_pa, rpm_from_rad_s
 from clutch_results import records
 from clutch_results.event_kinds import DATED_NS, events_text
-from clutch_results.pictures import UNFORETOLD, Fan, curve_picture, fan_of, fan_picture
+from clutch_results.measures import CAPACITY, JERK, SHIFT_TIME, SLIP_TIME, Measure, shown_measures
+from clutch_results.pictures import UNFORETOLD, Fan, curve_picture, fan_of, fan_picture, shifting_picture
 from clutch_results.prognosis import Prognosis
 from clutch_results.prognosis.sentence import distance_left
 from clutch_results.shift_course import COURSE_HEAD, course_lines, course_row, courses, load_line, loads
+from clutch_results.shifting import MOST_NAMED, seen_changes, shifting_of, unknown_friction_words
 from clutchdiag_io.pages.content import templates_of
 from clutchdiag_io.pages.plot import Axis, Plot, thinned
 from clutchdiag_io.people import PER_1000_RPM, PLUS_MINUS, SLOPE_UNIT
 from clutchdiag_io.program import legible, legible_record
-from diag_service.delivery.console import condition_words, gear_words, kind_words, reason_words
+from diag_service.delivery.console import (
+    SHIFTING_LEGEND,
+    condition_words,
+    gear_words,
+    kind_words,
+    reason_words,
+    shifting_heads,
+    shifting_rows,
+)
+from diag_service.diagnosis.capability import NEEDS_HEAD
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.condition.verdict import likely
 from diag_service.diagnosis.events import Event
@@ -33,6 +44,7 @@ from diag_service.diagnosis.summary import (
     capability_line,
     frames_line,
     gaps_line,
+    is_relative,
     newest_causes,
     reason_text,
     summary_record,
@@ -106,7 +118,39 @@ def html_of(findings: Findings, made_at: str, *, is_full: bool = False) -> str:
         made_at=made_at,
         plus_minus=PLUS_MINUS,
         **(_details(findings) if is_full else {"full": False}),
+        **_shifting(findings),
     )
+
+
+def _shifting(findings: Findings) -> dict[str, Any]:
+    """Return what stands in a report of a vehicle whose signals do not tell friction, in place of friction."""
+    untold = findings.untold
+    if not untold:
+        return {"shifting": None}
+    shifting, shown = shifting_of(untold), (SLIP_TIME, CAPACITY, SHIFT_TIME, JERK)
+    pictures = ((measure, shifting_picture(untold, measure, CURVE_SIZE)) for measure in shown)
+    measures = shown_measures(shifting.tier)
+    return {
+        "shifting": shifting,
+        "shifting_words": f"{unknown_friction_words(shifting, is_relative=is_relative(untold))}.",
+        "shifting_pictures": [(measure, *drawn) for measure, drawn in pictures if drawn is not None][:2],
+        "shifting_rows": [(name, *map(_unbroken, cells)) for name, *cells in shifting_rows(shifting)],
+        "shifting_legend": SHIFTING_LEGEND,
+        "changes": seen_changes(shifting)[MOST_NAMED:],  # the others are in the words
+        "needs_head": NEEDS_HEAD,
+        "event_heads": tuple(shifting_heads(measures)),
+        "event_cells": lambda estimate: tuple(_cell(measure, estimate) for measure in measures),
+    }
+
+
+def _cell(measure: Measure, estimate: records.ShiftEstimate) -> str:
+    value, std = measure.read(estimate)
+    return "–" if value is None else _unbroken(measure.number(value, std))
+
+
+def _unbroken(text: str) -> str:
+    """Return a cell that a narrow screen does not break at its blanks."""
+    return text if text[:1].isalpha() else text.replace(" ", "\N{NO-BREAK SPACE}")
 
 
 def write_page(path: Path, page: str) -> int:
@@ -182,12 +226,13 @@ def _unseen(findings: Findings) -> Iterator[str]:
     """Yield what was not seen and why, and what became of the frames."""
     summary = findings.summary
     engaged = {result.estimate.clutch for result in findings.results} | ({1} if summary and summary.lockup else set())
-    yield from (
-        f"{findings.title(clutch)}: no event engaged it." for clutch in findings.clutches if clutch not in engaged
-    )
+    if not findings.untold:
+        yield from (
+            f"{findings.title(clutch)}: no event engaged it." for clutch in findings.clutches if clutch not in engaged
+        )
     if findings.left_out_count:
         yield f"{findings.left_out_count} results of other algorithms or calibrations are left out."
-    if findings.calibration is None:
+    if findings.calibration is None and not findings.untold:
         yield (
             f"Curves: the results were made with calibration {findings.versions.calibration}, which is not the one at "
             "hand; name it by --calibration."
