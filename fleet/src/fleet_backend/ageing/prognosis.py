@@ -33,13 +33,14 @@ from clutch_results.records import (
     ShiftEstimate,
     ShiftResult,
     Status,
+    Tier,
     from_plain,
     iso_utc,
 )
 from clutchdiag_io.people import is_dated
 from fleet_backend.ageing.calibrations import reference_of, type_of
 from fleet_backend.ageing.records import ClutchNow, Due, Fill
-from fleet_backend.ageing.results import fills_of, friction_in, in_order, quality_in, results_of, words_in
+from fleet_backend.ageing.results import fills_of, friction_in, in_order, indices_in, quality_in, results_of, words_in
 from fleet_backend.queries import Row, distances_of
 from fleet_backend.schema import RUNNING, SCALE_FREE, SCALE_FREE_COLUMNS
 from fleet_contract.orders import Action
@@ -49,6 +50,7 @@ LOOKED_BACK: Final = timedelta(days=90)  # over which it is counted how much a v
 LEAST: Final = timedelta(days=1)
 _HORIZON: Final = timedelta(days=3653)
 _KINDS: Final = frozenset(EventKind)
+_TIERS: Final = frozenset(Tier)
 _SAME_IN_ROWS: Final = ("number", "from_gear", "to_gear", "clutch")  # of an estimate
 NO_PROGNOSIS: Final = (
     "No prognosis: its service has not told what calibration these results are of, or their numbers are of no clutch."
@@ -73,6 +75,8 @@ def estimate_of(row: Row) -> ShiftEstimate:
         scale_free=_scale_free(row),
         kind=EventKind(row["kind"]) if row["kind"] in _KINDS else EventKind.SHIFT,  # newer programs may know more
         shift_quality=quality_in(row),
+        tier=Tier(row["tier"]) if row["tier"] in _TIERS else Tier.FRICTION,
+        indices=indices_in(row),
     )
 
 
@@ -96,8 +100,8 @@ def _friction(row: Row, prefix: str) -> FrictionEstimate | None:
     return None if friction is None else FrictionEstimate(**friction)
 
 
-def _result_of(row: Row, estimate: ShiftEstimate) -> ShiftResult:
-    """Return a row as the service had it, as far as the fan chart asks for it."""
+def result_in(row: Row, estimate: ShiftEstimate) -> ShiftResult:
+    """Return a row as the service had it, as far as charts and tables of shifting ask for it."""
     verdict = ClutchVerdict(
         clutch=row["clutch"],
         condition=Condition[row["condition"].upper()],
@@ -254,7 +258,7 @@ def fan_of_vehicle(
         return None
     try:
         return fan_of(
-            [_result_of(row, estimates[id(row)]) for row in in_order(rows)],
+            [result_in(row, estimates[id(row)]) for row in in_order(rows)],
             [fluid_fill(now.vehicle, fill) for fill in fills],
             [curve for curve in new if curve is not None],
             [past.prognosis for past in pasts if past.prognosis is not None],

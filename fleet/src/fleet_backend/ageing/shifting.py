@@ -1,0 +1,88 @@
+"""How vehicles shift that cannot tell friction: their stored events by kind and gears, and what changed."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Final
+
+from sqlalchemy import Engine
+
+from clutch_results.measures import BY_KEY, MEASURES, Measure
+from clutch_results.records import ShiftEstimate, Tier
+from clutch_results.shifting import (
+    ShiftingChange,
+    ShiftingRow,
+    ShiftingSummary,
+    percent_words,
+    shifting_of,
+    shifting_record,
+    unknown_friction_words,
+)
+from clutchdiag_io.pages.content import NONE
+from clutchdiag_io.people import PLUS_MINUS
+from fleet_backend.ageing.prognosis import BEYOND_NUMBERS, estimate_of, result_in
+from fleet_backend.ageing.records import ClutchNow
+from fleet_backend.ageing.results import in_order, results_of
+from fleet_backend.queries import Row
+
+NOT_YET: Final = "Friction: cannot be known from this car; shifting: not worked out yet"
+
+
+def summary_of(rows: Sequence[Row], estimates: Sequence[ShiftEstimate]) -> ShiftingSummary | None:
+    """Return how a vehicle shifts by the events that tell no friction; None if there is none, or no number can be."""
+    estimate_by_row = {id(row): estimate for row, estimate in zip(rows, estimates, strict=True)}
+    told = [row for row in rows if estimate_by_row[id(row)].tier is not Tier.FRICTION]
+    try:
+        summary = shifting_of(result_in(row, estimate_by_row[id(row)]) for row in in_order(told))
+    except BEYOND_NUMBERS:
+        return None
+    return summary if summary.event_count else None
+
+
+def words_of(engine: Engine, clutches: Sequence[ClutchNow]) -> str | None:
+    """Read the past of a vehicle, and return how it shifts in one sentence; None: nothing is known of it."""
+    rows = [row for now in clutches for row in results_of(engine, now.vehicle, now.clutch)]
+    summary = summary_of(rows, list(map(estimate_of, rows)))
+    return None if summary is None else unknown_friction_words(summary)
+
+
+def answer_of(summary: ShiftingSummary) -> dict[str, Any]:
+    """Return how a vehicle shifts as pages and programs read it."""
+    return {"text": unknown_friction_words(summary), **shifting_record(summary)}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShiftingTable:
+    """What is known of the shifting of a vehicle, for people: heads, and rows of texts."""
+
+    caption: str
+    heads: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+
+def shifting_tables(summary: ShiftingSummary) -> list[ShiftingTable]:
+    """Return the events of a vehicle by kind and gears, then what changed; a dash is what is not measured."""
+    keys = {value.key for row in summary.rows for value in row.values}
+    measures = [measure for measure in MEASURES if measure.key in keys]
+    names = (f"{measure.name} [{measure.unit}]" if measure.unit else measure.name for measure in measures)
+    rows = [(row.name, str(row.event_count), *(_mean(row, measure) for measure in measures)) for row in summary.rows]
+    drives = f"{summary.event_count} events in {summary.drive_count} drives"
+    changes = [
+        (BY_KEY[change.key].name, *map(partial(_change, BY_KEY[change.key]), (change.over_drive, change.over_drives)))
+        for change in summary.overall
+    ]
+    means = ShiftingTable(
+        caption=f"Means by kind and gears, {PLUS_MINUS}: {drives}", heads=("event", "events", *names), rows=tuple(rows)
+    )
+    heads = ("of all events", "over the newest drive", "since the first drive")
+    trend = ShiftingTable(caption=f"What changed, {PLUS_MINUS}", heads=heads, rows=tuple(changes))
+    return [means, *([trend] if changes else [])]
+
+
+def _mean(row: ShiftingRow, measure: Measure) -> str:
+    value = row.value(measure)
+    return NONE if value is None else measure.number(value.mean, value.std)
+
+
+def _change(measure: Measure, change: ShiftingChange | None) -> str:
+    return NONE if change is None else percent_words(measure, change)
