@@ -85,6 +85,7 @@ class NotMeasured(StrEnum):
     SAMPLES_MISSING = "samples_missing"  # in a gap that hides what would be measured
     SLIP_TOO_SHORT = "slip_too_short"
     NOT_LOCKED = "not_locked"  # a ratio is that of a gear only while no clutch slips
+    SHAFT_UNKNOWN = "shaft_unknown"  # of two gears on one shaft, which is free while the new one is engaged
     UNTRUSTED = "untrusted"  # the signals contradict each other
 
 

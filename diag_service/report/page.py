@@ -258,11 +258,13 @@ def _details(findings: Findings) -> dict[str, Any]:
     scores |= {part.value: [data.parts[part] for data in quality if part in data.parts] for part in records.QualityPart}
     reasons = Counter(reason_text(reason) for estimate in estimates for reason in estimate.reasons)
     by_status = Counter(estimate.status.value for estimate in estimates)
+    if findings.untold:  # that friction is not told is said of the vehicle
+        del by_status[records.Status.UNOBSERVED], reasons[reason_text(records.Reason.SIGNAL_MISSING)]
     return {
         "full": True,
         "course_head": COURSE_HEAD,
         "courses": courses(estimates),
-        "loads": loads(estimates),
+        "loads": [load for load in loads(estimates) if any(load.counts) or not findings.untold],
         "panels": _panels,
         "shares": [("Events by the quality of their data", by_status), ("Why events were not used", reasons)],
         "quality": {name: values for name, values in scores.items() if values},

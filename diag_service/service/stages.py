@@ -16,7 +16,8 @@ from diag_service.diagnosis.capability import Capability
 from diag_service.diagnosis.columns import ColumnBatch, GearRatios, Signal
 from diag_service.diagnosis.condition.causes import CauseJudge
 from diag_service.diagnosis.condition.condition import ConditionMemory, VehicleCourse, judge, judge_lockup, no_verdict
-from diag_service.diagnosis.condition.shift_quality import ShiftScorer, measure
+from diag_service.diagnosis.condition.shift_indices import measure
+from diag_service.diagnosis.condition.shift_quality import ShiftScorer
 from diag_service.diagnosis.condition.verdict import Silence
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import ALGORITHM_VERSION, Estimator, Posterior

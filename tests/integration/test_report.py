@@ -13,10 +13,12 @@ from PIL import Image
 from playwright.sync_api import Browser, Locator, PdfMargins, ViewportSize
 
 from clutch_results.records import Causes, LikelyCause, ShiftResult
+from tests.integration.test_tiers import profile_without
 from tests.support.browsing import HIGHEST_PX, chromium, complaints_of, cut_in, height_of, new_page
 from tests.support.builders import at
 from tests.support.histories import fill_store, history
 from tests.support.in_process import ended
+from tests.support.shiftings import scattered
 
 
 def record_in(page: Path) -> dict[str, object]:
@@ -270,3 +272,48 @@ def test_a_real_browser_shows_the_pages_to_everybody(
         complaints[f"{path}, {scheme}, {width} px"] = said
         page.context.close()
     assert complaints == {key: [] for key in complaints}
+
+
+@pytest.fixture(name="untold_store", scope="module")
+def _untold_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a store of a car without pressures that slips for longer from March to June."""
+    store = tmp_path_factory.mktemp("untold") / "car1.sqlite"
+    fill_store(store, scattered(np.random.default_rng(5), [0, 1, 2, 90, 91, 92], 12, growth=0.3, among=0.01))
+    return store
+
+
+def test_a_store_without_friction_tells_how_the_car_shifts_and_what_changed(untold_store: Path) -> None:
+    text = ended("history", untold_store).out
+    assert "Friction: cannot be known from this car; shifting: 72 events in 6 drives; power on upshift 2-3 (72)" in text
+    assert re.search(r"slip time of all events \d+ ± \d+ % longer than in March", text)
+    assert re.search(r"power on upshift 2-3 +72 +\d\.\d\d ± 0\.\d\d .* \+\d+ ± \d+ %", text)
+    assert "What would be needed for friction:\n  clutch 1 pressure." in text
+    assert not re.search("no event engaged|unobserved|No prognosis|fluid of unknown age|verdict *$", text, re.MULTILINE)
+    records = ended("history", untold_store, "--json").records
+    (shifting,) = (record for record in records if record["record"] == "shifting")
+    change = shifting["rows"][0]["measures"]["slip_duration_s"]["over_drives"]
+    assert abs(change["change_ratio"] - 0.3) < 2.0 * change["std_change_ratio"] < 0.3
+    assert records[-1]["record"] == "fills"
+
+
+def test_a_report_without_friction_is_one_sheet_about_shifting(
+    untold_store: Path, drive_log: Path, tmp_path: Path, browser: Browser
+) -> None:
+    profile = profile_without(tmp_path, "clutch1_pressure", "clutch2_pressure")
+    assert ended("report", untold_store, "-o", tmp_path / "store.html").status == 0
+    assert ended("report", drive_log, "--profile", profile, "-o", tmp_path / "log.html", "--full").status == 0
+    for name, heads in (
+        ("store", ["How it shifts", "What would be needed for friction", "What was not seen"]),
+        ("log", ["How it shifts", "What would be needed for friction", "What was not seen", "How well it shifts"]),
+    ):
+        page = new_page(browser, 390, has_axe=True)
+        url = (tmp_path / f"{name}.html").as_uri()
+        assert [complaints_of(page, url, scheme) for scheme in ("light", "dark")] == [[], []]
+        assert page.locator("section > h2").all_inner_texts()[1 : 1 + len(heads)] == heads
+        words = page.locator("main").inner_text()
+        assert "friction cannot be known from this car" in words
+        assert not re.search("unobserved|signal missing|no event engaged|km left|No prognosis|mu_C", words)
+        assert page.locator("#shifting ~ .pair svg").count() == (2 if name == "store" else 0)
+        assert page.locator("section[aria-labelledby=shifting] tbody tr").count() == (1 if name == "store" else 3)
+        page.close()
+    assert "38EB at 7E1" in (tmp_path / "log.html").read_text(encoding="utf-8")

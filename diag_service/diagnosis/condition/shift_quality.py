@@ -7,16 +7,16 @@ that are missing leave parts out; the score is that of the others.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final, NamedTuple, Self
+from typing import Final, Self
 
 import numpy as np
 
-from canlog.arrays import BoolArray, FloatArray
+from canlog.arrays import FloatArray
 from canlog.jit import kernel
 from clutch_model.calibration import Calibration, ClutchCalibration, both_clutches, clutch_of_gear
 from clutch_model.pack import clutch_heating_rate_k_s, clutch_later_k, contact_torque_nm, film_law
 from clutch_model.units import NS_PER_S
-from clutch_results.event_kinds import GEAR_CHANGES, EndReason, EventKind, ShiftIndices, ShiftQuality
+from clutch_results.event_kinds import GEAR_CHANGES, EndReason, EventKind, ShiftQuality
 from clutch_results.loads import PARTS
 from clutch_results.records import quality_from, quality_keys
 from diag_service.diagnosis.alignment import readings
@@ -24,7 +24,7 @@ from diag_service.diagnosis.columns import GearRatios, Signal
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.drives import PackTemperatures
 from diag_service.diagnosis.friction.evidence import Knowledge, State
-from diag_service.diagnosis.shifts.shifts import LOADED_NM, LOADED_PA, PRESSURES, SHAFTS, SLIP_RAD_S
+from diag_service.diagnosis.shifts.shifts import LOADED_PA, PRESSURES, SHAFTS, SLIP_RAD_S
 
 GRID_S = 0.01  # of the rows on which the parts are computed: the period of the fast messages
 BEFORE_S, AFTER_S = 0.3, 0.1  # of the signals around the event
@@ -430,168 +430,3 @@ def weighed(parts: Mapping[str, float]) -> tuple[float | None, list[str]]:
         return None, []
     dear = sorted([name for name in costs if costs[name] >= 0.01 * weight], key=costs.__getitem__, reverse=True)
     return 100.0 * math.exp(-sum(costs.values()) / weight), dear
-
-
-INDEX_GRID_S = 0.005  # of the indices
-MIN_WINDOW_S = 0.1  # of slip under the engine's torque alone: less tells no capacity
-CORRELATION_S = 0.1  # residuals are alike for about as long as torque lags
-INERTIA_STD_RATIO = 0.2  # of the engine inertia: below the first tier nobody has calibrated it for the vehicle
-STUCK_RAD_S = 1.0  # below it slip has ended: the speeds of a clutch that sticks differ by their noise
-STUCK_ROWS = 2  # of the grid, 0.01 s: for so long it does, before slip has ended
-SWING_ROWS = 200  # of the grid, 1 s: a driveline swings at 8 Hz, for a while; what slips for longer was let slip
-LET_GO_ROWS = 10  # of the grid, 0.05 s: a clutch without load for so long was let go
-RELEASED_RATIO = 0.1  # an off-going clutch that is asked for less than this share has let go
-MIN_TORQUE_NM = 10.0  # below it a ratio of torques says nothing
-SMOOTH_S = 0.06  # half width of the parabola that differentiates the engine speed
-LEAST_APART = 1e-6  # a determinant: three samples a few milliseconds apart have as much
-
-_INDEX_SPEEDS: Final = (Signal.HUB_SPEED, Signal.ENGINE_SPEED, *SHAFTS, Signal.INPUT_SPEED)
-_TORQUES: Final = (Signal.CLUTCH_TORQUE, Signal.ENGINE_TORQUE)
-_INDEX_SIGNALS: Final = (*_INDEX_SPEEDS, Signal.CLUTCH_SLIP, *PRESSURES, *_ASKINGS, *_TORQUES)
-
-
-class _Grid(NamedTuple):
-    """The signals of a shift on one even grid from its start to its end."""
-
-    t_s: FloatArray  # (n,) since the start of the shift
-    values: dict[Signal, FloatArray]  # (n,) each, linear between samples; without those that are not there
-    event: Event
-    clutch: int  # that of the gear
-
-
-@np.errstate(over="ignore", invalid="ignore")  # likewise
-def measure(event: Event, calibration: Calibration) -> ShiftIndices:
-    """Return the indices of a shift as far as its signals go."""
-    is_complete = event.end_reason is EndReason.COMPLETE and event.end_ns > event.start_ns
-    shift_time_s = (event.end_ns - event.start_ns) / NS_PER_S
-    t_s = np.arange(0.0, max(shift_time_s, INDEX_GRID_S), INDEX_GRID_S)
-    values = readings(event.columns, _INDEX_SIGNALS, event.start_ns, t_s)
-    grid = _Grid(t_s, values, event, clutch_of_gear(event.to_gear))
-    slip_rad_s = _slip(grid) if is_complete else None
-    if slip_rad_s is None:
-        return ShiftIndices(shift_time_s=shift_time_s if is_complete else None)
-    size = np.abs(slip_rad_s)
-    ratio, std = _torque_capacity(grid, slip_rad_s, calibration) or (None, None)
-    return ShiftIndices(
-        shift_time_s=shift_time_s,
-        slip_duration_s=float(np.count_nonzero(size > SLIP_RAD_S) * INDEX_GRID_S),
-        peak_slip_rad_s=float(size.max()),
-        slip_angle_rad=float(size.sum() * INDEX_GRID_S),
-        torque_capacity_ratio=ratio,
-        std_torque_capacity_ratio=std,
-        reslip_rad_s=_reslip(size, _pressed(grid, calibration)),
-    )
-
-
-def _reslip(slip_rad_s: FloatArray, is_pressed: BoolArray) -> float:
-    """Return the largest slip under load after it had begun and ended once [rad/s]: stick-slip, if there is much.
-
-    Slip has begun when it is as large as three quarters of the largest: as a clutch bites, its shaft swings. It has
-    ended when the clutch sticks, not as it passes zero. A clutch that was let go in between begins anew, and so does
-    one that is let slip for long. Where there is no such stretch it is the least slip of all.
-    """
-    pressed_rad_s = np.where(is_pressed, slip_rad_s, 0.0)
-    has_begun = ~(pressed_rad_s <= max(SLIP_RAD_S, 0.75 * float(pressed_rad_s.max())))
-    is_stuck = is_pressed & (slip_rad_s < STUCK_RAD_S)
-    first = _first_run(is_stuck, int(has_begun.argmax()), STUCK_ROWS) if has_begun.any() else len(slip_rad_s)
-    stop = _first_run(~is_pressed, first + STUCK_ROWS, LET_GO_ROWS)
-    if first >= stop:
-        return 0.0
-    slip_rad_s, pressed_rad_s = slip_rad_s[first:stop], pressed_rad_s[first:stop]
-    edges = np.flatnonzero(np.diff(slip_rad_s >= STUCK_RAD_S, prepend=False))
-    stretches = edges[: len(edges) // 2 * 2].reshape(-1, 2).tolist()  # without the one that does not end
-    swings = [float(pressed_rad_s[begin:end].max()) for begin, end in stretches if end - begin <= SWING_ROWS]
-    return max(swings, default=float(np.fmin.reduce(slip_rad_s, initial=STUCK_RAD_S)))
-
-
-def _first_run(values: BoolArray, start: int, length: int) -> int:
-    """Return the first row from ``start`` on from which so many are true; the row after the last if there is none."""
-    if len(values) - start < length:
-        return len(values)
-    rows = np.flatnonzero(np.convolve(values[start:], np.ones(length, np.int64), "valid") == length)
-    return start + int(rows[0]) if len(rows) else len(values)
-
-
-def _pressed(grid: _Grid, calibration: Calibration) -> BoolArray:
-    """Return where the clutch of the gear carries load, shape (n,); everywhere if nothing tells."""
-    pressure_pa = grid.values.get(PRESSURES[grid.clutch - 1])
-    if pressure_pa is not None:
-        return pressure_pa > calibration.clutches[grid.clutch - 1].touch_pressure_pa + LOADED_PA
-    asked_nm = grid.values.get(_ASKINGS[grid.clutch - 1])
-    return np.ones(len(grid.t_s), np.bool_) if asked_nm is None else asked_nm > LOADED_NM
-
-
-def _slip(grid: _Grid) -> FloatArray | None:
-    """Return the slip of the on-coming clutch: its input side less the shaft of the gear that engages."""
-    engine, shaft = (
-        next((grid.values[signal] for signal in signals if signal in grid.values), None)
-        for signals in ((Signal.HUB_SPEED, Signal.ENGINE_SPEED), (SHAFTS[grid.clutch - 1], Signal.INPUT_SPEED))
-    )
-    stated = grid.values.get(Signal.CLUTCH_SLIP)
-    if engine is None or shaft is not None:
-        return None if engine is None or shaft is None else engine - shaft
-    return None if stated is None else engine * stated
-
-
-def _torque_capacity(grid: _Grid, slip_rad_s: FloatArray, calibration: Calibration) -> tuple[float, float] | None:
-    """Return the torque transmitted at slip over the one asked for, and its standard deviation; docs/model.md eq. (I4).
-
-    Least squares through the origin; the deviation adds the scatter of the residuals, the gain and the offset of the
-    engine torque, and the inertia.
-    """
-    asked = _asked(grid)
-    engine_nm = grid.values.get(Signal.ENGINE_TORQUE)
-    if asked is None or engine_nm is None or Signal.ENGINE_SPEED not in grid.event.columns:
-        return None
-    on_nm, off_nm, is_signed = asked
-    is_released = np.abs(off_nm) < RELEASED_RATIO * np.maximum(on_nm, MIN_TORQUE_NM)
-    rows = np.flatnonzero((np.abs(slip_rad_s) > SLIP_RAD_S) & (np.abs(on_nm) > MIN_TORQUE_NM) & is_released)
-    if len(rows) * INDEX_GRID_S < MIN_WINDOW_S:
-        return None
-    asked_nm = on_nm[rows] if is_signed else on_nm[rows] * np.where(slip_rad_s[rows] > 0.0, 1.0, -1.0)
-    speed = grid.event.columns[Signal.ENGINE_SPEED]
-    accelerations = _slopes_at((speed.t_ns - grid.event.start_ns) / NS_PER_S, speed.value, grid.t_s[rows])
-    inertia_nm = calibration.input_side.engine_inertia_kg_m2 * accelerations
-    square = float(asked_nm @ asked_nm)
-    by_engine, by_offset, by_inertia = (
-        float(asked_nm @ torque_nm) / square for torque_nm in (engine_nm[rows], np.ones_like(asked_nm), inertia_nm)
-    )
-    ratio = by_engine - by_inertia
-    scatter = math.sqrt(float(np.mean((engine_nm[rows] - inertia_nm - ratio * asked_nm) ** 2)) / square)
-    spread = calibration.uncertainty
-    std = math.hypot(
-        scatter * math.sqrt(CORRELATION_S / INDEX_GRID_S),
-        spread.torque_gain_ratio * by_engine,
-        spread.torque_offset_nm * by_offset,
-        INERTIA_STD_RATIO * by_inertia,
-    )
-    return (ratio, std) if abs(ratio) + std < MOST else None
-
-
-def _asked(grid: _Grid) -> tuple[FloatArray, FloatArray, bool] | None:
-    """Return the torques asked of the on-coming and of the off-going clutch, and whether their signs are the slip's."""
-    on, off = grid.values.get(_ASKINGS[grid.clutch - 1]), grid.values.get(_ASKINGS[2 - grid.clutch])
-    if on is not None and off is not None:
-        return on, off, False
-    total = grid.values.get(Signal.CLUTCH_TORQUE)
-    return None if total is None else (total, np.zeros(len(total)), True)
-
-
-def _slopes_at(t_s: FloatArray, value: FloatArray, at_s: FloatArray) -> FloatArray:
-    """Return the slope of a parabola, fitted by least squares, around each of some rising times; 0 by fewer than 3.
-
-    So it is of samples of fewer than 3 times: a log may tell them by the tenth of a second.
-    """
-    first, stop = t_s.searchsorted(at_s - SMOOTH_S), t_s.searchsorted(at_s + SMOOTH_S)
-    places = first[:, np.newaxis] + np.arange((count := stop - first).max(initial=1))
-    is_near = places < stop[:, np.newaxis]
-    places = np.minimum(places, len(t_s) - 1)
-    x = (t_s[places] - at_s[:, np.newaxis]) / SMOOTH_S * is_near
-    y = value[places] * is_near
-    x1, x2, x3, x4 = [np.sum(x**power, axis=1) for power in range(1, 5)]
-    y0, xy, xxy = [np.sum(x**power * y, axis=1) for power in range(3)]
-    whole = count * (x2 * x4 - x3 * x3) - x1 * (x1 * x4 - x2 * x3) + x2 * (x1 * x3 - x2 * x2)  # Cramer's rule
-    slope = count * (xy * x4 - x3 * xxy) - y0 * (x1 * x4 - x3 * x2) + x2 * (x1 * xxy - xy * x2)
-    rows, slopes = np.flatnonzero((count >= 3) & (whole > LEAST_APART)), np.zeros(len(at_s))
-    slopes[rows] = slope[rows] / whole[rows] / SMOOTH_S
-    return slopes

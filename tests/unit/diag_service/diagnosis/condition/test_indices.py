@@ -7,7 +7,7 @@ from canlog.arrays import FloatArray, Series
 from clutch_model.calibration import nominal_calibration
 from clutch_results.event_kinds import EndReason
 from diag_service.diagnosis.columns import Signal
-from diag_service.diagnosis.condition.shift_quality import measure
+from diag_service.diagnosis.condition.shift_indices import measure
 from diag_service.diagnosis.events import Event
 
 CALIBRATION = nominal_calibration()
@@ -15,7 +15,7 @@ STEP_NS = 10_000_000
 START_NS = 1_000_000_000
 ROWS = np.arange(-50, 110)
 T_S = ROWS * 0.01
-INERTIA_KG_M2 = CALIBRATION.input_side.engine_inertia_kg_m2
+INERTIA_KG_M2 = CALIBRATION.input_side.engine_inertia_kg_m2 + CALIBRATION.input_side.hub_inertia_kg_m2
 DECELERATION_RAD_S2 = -80.0
 SLIP_RAD_S = np.clip(60.0 + DECELERATION_RAD_S2 * T_S, 0.0, None)  # closes after 0.75 s
 ASKED_NM = 150.0
@@ -53,7 +53,7 @@ def shift(ratio: float = 0.9, *, to_gear: int = 2, sign: float = 1.0) -> Event:
 def test_time_and_slip() -> None:
     found = measure(shift(), CALIBRATION)
     assert found.shift_time_s == 1.0
-    assert found.peak_slip_rad_s == pytest.approx(60.0)
+    assert found.peak_slip_rad_s == pytest.approx(60.0, abs=0.3)  # the engine's speed is that of half a segment before
     assert found.slip_duration_s == pytest.approx(55.0 / 80.0, abs=0.01)
     assert found.slip_angle_rad == pytest.approx(0.5 * 60.0 * 0.75, rel=0.01)
 

@@ -11,7 +11,7 @@ from clutch_results.event_kinds import EndReason, EventKind, Shudder
 from clutch_results.records import Condition, ShiftEstimate, StickSlip
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.condition.condition import ConditionMemory, judge
-from diag_service.diagnosis.condition.shift_quality import measure
+from diag_service.diagnosis.condition.shift_indices import measure
 from diag_service.diagnosis.condition.verdict import LAUNCH_WINDOW, Launches, RunningScatter
 from diag_service.diagnosis.events import Event
 from tests.support.builders import shift_estimate
