@@ -132,7 +132,7 @@ class TriedMeaning:
     def needs(self) -> tuple[SignalNeed, ...]:
         """What friction lacks, and by which profile each could be asked for."""
         alive, gears = self.decision.alive, self.meaning.profile.gears
-        asked = SignalReach.of(alive, gears, self.calibration).asked
+        asked = SignalReach.of_signals(alive, gears, self.calibration).asked
         return needs_of(self._decoder, alive, self.calibration.torque, **asked)
 
     @property
@@ -290,7 +290,7 @@ def _row(
     if decision.still:  # where no gear lives, ratios may tell it: that takes another look
         decision = decide_log(meaning, trial.calibration, [task.path], is_stopped, columns=task.columns)
     alive, tier = decision.alive, decision.tier
-    reach = SignalReach.of(alive, decision.meaning.profile.gears, trial.calibration)
+    reach = SignalReach.of_signals(alive, decision.meaning.profile.gears, trial.calibration)
     tells = (LOCKUP_PURPOSE if decision.has_converter else PURPOSE)[tier] if tier else ""
     if reach.is_relative:
         tells = f"{tells}, {UP_TO_A_SCALE}" if tells else UP_TO_A_SCALE

@@ -219,11 +219,12 @@ class Decoder:
             if (composite := [column for column in mapped.columns if not is_able(column.table)])
         ]
         self._turbine: Series | None = None  # its last sample, where engine speed is turbine speed plus slip
-        self._signal_count = len(self.signals)
         self._invalid: dict[Signal, InvalidCounts] = {}
         self._invalid_at_first: dict[Signal, int] = {}  # before a signal's first real value
         self._slot_of = {column.signal: slot for slot, mapped in enumerate(self._messages) for column in mapped.columns}
         self._seen: set[Signal] = set()
+        self.absent: frozenset[Signal] = frozenset()  # that are mapped, and taken as if they were not
+        self._signal_count = len(self.signals)
         self.asked = {signal: field for signal, field in profile.asked.items() if signal in self._slot_of}
         self.asking = profile.asking
         self.groups = tuple({pgn: None for signal, pgn in profile.groups.items() if signal in self._slot_of})
@@ -240,12 +241,12 @@ class Decoder:
     def signals(self) -> frozenset[Signal]:
         """The canonical signals that this bus can deliver."""
         signals = frozenset(column.signal for mapped in self._messages for column in mapped.columns)
-        return signals | {Signal.ENGINE_SPEED} if signals >= SUMMED_SIGNALS else signals
+        return (signals | {Signal.ENGINE_SPEED} if signals >= SUMMED_SIGNALS else signals) - self.absent
 
     @property
     def seen(self) -> frozenset[Signal]:
         """The canonical signals of which at least one valid value came until now."""
-        return frozenset(self._seen)
+        return frozenset(self._seen) - self.absent
 
     @property
     def optional_signals(self) -> frozenset[Signal]:

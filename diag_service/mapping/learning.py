@@ -26,11 +26,12 @@ from clutch_model.units import NS_PER_S, bar_from_pa
 from clutchdiag_io.people import digits
 from clutchdiag_io.program import legible
 from dbc.contract import DBC_PATH
-from diag_service.diagnosis.columns import NO_SAMPLES, ColumnBatch, GearRatios, Signal
+from diag_service.diagnosis.columns import NO_SAMPLES, SUMMED_SIGNALS, ColumnBatch, GearRatios, Signal
 from diag_service.diagnosis.prediction import LEAST_CERTAIN, LEAST_EVENTS, LEAST_OF_CLUTCH, fitted
 from diag_service.diagnosis.slip_phase import HELD_PA, SlipPhase
 from diag_service.errors import StoppedError
 from diag_service.mapping import proposal
+from diag_service.mapping.contest import MOST_CANDIDATES, Best, contested, joined, judged, thinned
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.interpretation import open_database
 from diag_service.mapping.mapped_messages import is_of_lockup, missing_for_next, reach_in_words, tier_of
@@ -518,6 +519,7 @@ def proposed_profile(
     survey.add(log, is_stopped, watch, columns)
     name, stem = (shown_name(log), "piped") if log == STANDARD_INPUT else (log.name, log.stem)
     best = proposal.candidates(survey.statistics())
+    best, contests = judged(best, _tracks(log, database, best, columns) if log != STANDARD_INPUT else {})
     over, ratios = _shown_ratios(log, database, best, columns)
     knows_gears = proposal.is_complete(ratios)
     reach = reach_in_words(best.keys(), knows_gears=knows_gears)
@@ -532,11 +534,29 @@ def proposed_profile(
         *([f"It is {why}."] if (why := survey.why_wrong) else []),
         *proposal.unfit_units(survey.statistics(), best),
         *proposal.questioned(best),
+        *(contest.text for contest in contests),
         *survey.listing(),
         "",
     ]
     signals = proposal.profile_text(legible(stem), best, [legible(remark) for remark in remarks])
     return signals + proposal.gears_text(over, ratios)
+
+
+def _tracks(log: Path, database: Database, best: Best, columns: str) -> dict[tuple[Signal, int], Series]:
+    """Return what the candidates for quantities were in a log, by quantity and rank; none without a contest."""
+    if not contested(best) and not best.keys() >= SUMMED_SIGNALS:
+        return {}
+    pieces = dict[tuple[Signal, int], list[Series]]()
+    for rank in range(MOST_CANDIDATES):
+        sources = {signal: found[rank].source for signal, found in best.items() if len(found) > rank}
+        if not sources:
+            break
+        decoder = Decoder(database, Profile(name="candidates", sources=sources))
+        with closing(read_log(log, columns=columns)) as reader:
+            for batch in decoder.whole(reader):
+                for signal in sources.keys() & batch.columns.keys():
+                    pieces.setdefault((signal, rank), []).append(thinned(batch.columns[signal]))
+    return {key: joined(found) for key, found in pieces.items()}
 
 
 def _shown_ratios(

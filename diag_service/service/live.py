@@ -7,6 +7,7 @@ from contextlib import suppress
 
 from canlog.errors import NOTICE, BusEndedError, SourceError
 from canlog.live import BusSilence, LinkBreak, LiveSource, ReadSchedule
+from clutchdiag_io.program import legible
 from diag_service.delivery import Outbox
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.summary import FrameCounts, Summary, frames_line, shifts_line
@@ -46,6 +47,7 @@ async def run_live(
     def counts() -> FrameCounts:
         return frame_counts(source, session.stages)
 
+    session.stages.judge_liveness(lambda text: _LOG.warning("%s", legible(text)))
     work, senders = _Work(session, outbox), SenderWatch()
     beside = {
         "closer": close_in_time(source, stop, duration_s, end_asking),

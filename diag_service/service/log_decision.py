@@ -38,6 +38,7 @@ class LogLook:
     heard_ids: frozenset[int] = frozenset()  # identifiers of the frames, with their flags
     received: frozenset[Signal] = frozenset()  # mapped signals of which a value came
     is_of_columns: bool = False  # a table of signals, which has no identifiers
+    is_of_whole: bool = True  # whether the drive was looked at
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,6 +53,7 @@ class LogDecision:
     missing: str = ""  # a sentence: what the next better tier needs; empty at the first
     has_converter: bool = False  # whether it is about a lock-up clutch
     better: str = ""  # a sentence: which shipped profile fits the log better; empty if none does
+    is_of_whole: bool = True  # whether the drive was looked at; what comes through a pipe is not
     notes: tuple[str, ...] = field(default=())  # for people, a sentence each: what is taken as absent, and `better`
 
 
@@ -117,7 +119,9 @@ def decide(meaning: Interpretation, calibration: Calibration, look: LogLook) -> 
     has_converter, torque = calibration.converter is not None, calibration.torque
     received = look.received
     before = _tier(meaning.profile, received, torque, has_converter=has_converter)
-    better = "" if look.is_of_columns else better_profile(meaning, before, look.heard_ids)
+    better = ""
+    if not look.is_of_columns and look.heard_ids:
+        better = better_profile(meaning, before, look.heard_ids)
     still = tuple(
         found
         for found in look.liveness.still(LEAST_RECORDED)
@@ -142,6 +146,7 @@ def decide(meaning: Interpretation, calibration: Calibration, look: LogLook) -> 
         missing=missing_for_next(known, **asked),
         has_converter=has_converter,
         better=better,
+        is_of_whole=look.is_of_whole,
         notes=(*absences, *([better] if better else [])),
     )
 
@@ -167,7 +172,7 @@ def look_at(
     decoder = meaning.decoder()
     liveness, heard = Liveness.of(decoder.signals), set[int]()
     if not all(map(is_plain_file, paths)):  # standard input is none either
-        return LogLook(liveness=liveness, received=decoder.signals)
+        return LogLook(liveness=liveness, received=decoder.signals, is_of_whole=False)
     for batch in _read(decoder, paths, is_stopped, columns, heard):
         liveness = liveness.advanced(batch)
         if liveness.is_settled:

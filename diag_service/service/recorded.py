@@ -128,6 +128,11 @@ def frame_counts(logs: Sequence[OpenLog], stages: Stages, *, is_whole: bool) -> 
     return replace(counts, on_bus=read, unreadable=dict(unreadable))
 
 
+def warn(text: str) -> None:
+    """Warn of what is taken as absent, or of the profile that fits better."""
+    _LOG.warning("%s", legible(text))
+
+
 def warn_of_slow_messages(stages: Stages) -> None:
     """Warn of messages that come less often than the database says; they are held against their own cycle."""
     by_cycles: dict[tuple[int, int], list[str]] = {}
@@ -171,7 +176,7 @@ def run_recorded(
         columns=config.columns,
     )
     for note in decision.notes:
-        _LOG.warning("%s", legible(note))
+        warn(note)
     meaning = decision.meaning
     decoder = meaning.decoder()
     with open_drive(
@@ -181,6 +186,8 @@ def run_recorded(
         with opened_store(config, store_path, keeps_results=False) as store:
             kept_events = KeptEvents.beside(store_path)
             session = Session(config, decoder, store, stream, reporter, survey=survey, kept_events=kept_events)
+            if not decision.is_of_whole:  # what comes through a pipe cannot be looked at before
+                session.stages.judge_liveness(warn)
 
             def process(event: Event) -> None:
                 session.process(event)

@@ -30,6 +30,7 @@ from diag_service.diagnosis.shifts.shifts import DriveFinder
 from diag_service.diagnosis.shifts.tracking import EventFinder
 from diag_service.errors import ConfigError
 from diag_service.mapping.decoder import Decoder
+from diag_service.mapping.liveness import LEAST_LIVE, Liveness
 from diag_service.mapping.mapped_messages import PRESSURES, missing_for_next, tier_of, why_no_friction
 from diag_service.service.needs import needs_of
 from fleet_contract import JsonObject
@@ -116,7 +117,14 @@ class SignalReach:
     asked: Mapping[str, bool]  # what the tiers are asked with
 
     @classmethod
-    def of(cls, signals: AbstractSet[Signal], gears: GearRatios | None, calibration: Calibration) -> "SignalReach":
+    def of(cls, decoder: Decoder, calibration: Calibration) -> "SignalReach":
+        return cls.of_signals(decoder.signals, decoder.gears, calibration)
+
+    @classmethod
+    def of_signals(
+        cls, signals: AbstractSet[Signal], gears: GearRatios | None, calibration: Calibration
+    ) -> "SignalReach":
+        """Return what some signals suffice for; ``gears`` of the profile, where no signal tells them."""
         torque = calibration.torque
         known = signals - {Signal.ENGINE_TORQUE} if torque is TorqueSource.UNKNOWN else signals
         # The gear can be told from the ratio of two speeds, where the bus has both.
@@ -263,17 +271,30 @@ class Stages:
     def __init__(self, decoder: Decoder, calibration: Calibration, belief: Belief | None = None) -> None:
         self.decoder = decoder
         self._calibration = calibration
-        self.reach = SignalReach.of(decoder.signals, decoder.gears, calibration)
-        basis = QualityBasis(
+        self._basis = QualityBasis(
             mandatory_messages=decoder.mandatory_messages,
             scale_ends=decoder.limits,
             calibration_date=calibration.made_on,
             torque=calibration.torque,
         )
-        self.element: Element = kind_of(calibration)(decoder, calibration, basis, self.reach)
+        self.reach, self.element = self._read()
         self._finder = self.element.finder()
         self.belief = belief or Belief.fresh(calibration)
+        self._liveness: Liveness | None = None  # of a bus; of a log that was decided before
+        self._tell: Callable[[str], None] = lambda _text: None
         self.watch: Callable[[ColumnBatch], None] = lambda _columns: None  # called with all columns, before any event
+
+    def _read(self) -> tuple[SignalReach, Element]:
+        """Return what the signals suffice for that are not taken as absent, and the element that they are read for."""
+        reach = SignalReach.of(self.decoder, self._calibration)
+        return reach, kind_of(self._calibration)(self.decoder, self._calibration, self._basis, reach)
+
+    def judge_liveness(self, tell: Callable[[str], None]) -> None:
+        """From now on take signals as absent that stand still where physics demands motion, until they move.
+
+        ``tell`` hears a sentence each time.
+        """
+        self._liveness, self._tell = Liveness.of(self.decoder.signals), tell
 
     def feed(self, batch: FrameBatch) -> list[Diagnosis]:
         """Return the diagnoses of the shifts that these frames complete."""
@@ -286,7 +307,31 @@ class Stages:
     def _events(self, batches: Iterable[ColumnBatch]) -> Iterator[Event]:
         for columns in batches:
             self.watch(columns)
-            yield from self._finder.feed(columns)
+            yield from self._judged(columns)
+            living = {signal: columns.columns[signal] for signal in columns.columns.keys() - self.decoder.absent}
+            yield from self._finder.feed(replace(columns, columns=living) if self.decoder.absent else columns)
+
+    def _judged(self, columns: ColumnBatch) -> list[Event]:
+        """Take signals as absent, or as living again, by these columns; return the events that this ends."""
+        before = self._liveness
+        if before is None or (after := before.advanced(columns)) is before:
+            return []
+        self._liveness = after
+        still = [found for found in after.still(LEAST_LIVE) if found.value is not None]
+        absent = frozenset(found.signal for found in still)
+        if absent == self.decoder.absent:
+            return []
+        places = {signal: source.place for signal, source in self.decoder.profile_sources.items()}
+        for found in still:
+            if found.signal not in self.decoder.absent:
+                self._tell(found.text(places.get(found.signal, "")))
+        for signal in sorted(self.decoder.absent - absent):
+            self._tell(f"{places.get(signal, signal.value)} moves: it is read again")
+        self.decoder.absent = absent
+        events = self._finder.flush()
+        self.reach, self.element = self._read()
+        self._finder = self.element.finder().continuing(self._finder)
+        return events
 
     @property
     def is_expecting(self) -> bool:

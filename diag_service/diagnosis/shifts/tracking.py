@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import reduce
-from typing import Final, Protocol
+from typing import Final, Protocol, Self
 
 import numpy as np
 
@@ -229,6 +229,16 @@ class EventFinder:
         self._closed.clear()
         self._end_ns = BEFORE_ALL_NS
         return events
+
+    def continuing(self, before: "EventFinder") -> Self:
+        """Return this finder, which numbers its events after those of the one before."""
+        self._event_count = before.event_count
+        return self
+
+    @property
+    def event_count(self) -> int:
+        """How many events were reported."""
+        return self._event_count
 
     @property
     def is_expecting(self) -> bool:
