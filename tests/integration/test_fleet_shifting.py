@@ -71,6 +71,9 @@ def test_there_is_never_a_verdict_on_its_fluid(sources: Sources) -> None:
             None,
             "There is no verdict on the fluid: friction cannot be known from this car.",
         )
+        due = next(due for due in told(sources, "/maintenance")["clutches"] if due["vehicle"] == name)
+        assert (due["due_from"], due["left_m"], due["least_left_m"]) == (None, None, None)
+        assert due["text"].endswith("friction cannot be known from this car. Nothing is foretold of it.")
         (page,) = asked(sources, f"/vehicles/{name}")
         assert "Drive 20 gear changes" not in page.text
         assert "How the fluid went" not in page.text
@@ -135,6 +138,16 @@ def test_until_it_is_worked_out_the_list_says_so_and_an_open_page_renews_itself(
     (renewed,) = asked(sources, "/", mark=page.headers["etag"])
     assert (renewed.status_code, "120 events in 3 drives" in renewed.text) == (200, True)
     assert asked(sources, "/", mark=renewed.headers["etag"])[0].status_code == 304
+
+
+def test_what_a_reader_was_shown_is_worked_out_first(engine: Engine, torques: list[ShiftResult]) -> None:
+    judged = [row_of(fleet_result(1, vehicle=f"car{number}")) for number in range(20)]
+    Writer(engine).store(Batch(shifts=[*judged, *map(row_of, torques)]))
+    sources = sources_of(engine)
+    sources.keeper.work_ahead(0.0)  # one vehicle: the worst
+    assert "not worked out yet" in asked(sources, "/?only=untold")[0].text
+    sources.keeper.work_ahead(0.0)
+    assert "120 events in 3 drives" in asked(sources, "/?only=untold")[0].text
 
 
 def test_only_what_tells_no_friction_keeps_its_indices(torques: list[ShiftResult]) -> None:

@@ -56,6 +56,7 @@ NO_PROGNOSIS: Final = (
     "No prognosis: its service has not told what calibration these results are of, or their numbers are of no clutch."
 )
 NOT_YET: Final = "Not foretold yet: fleet-backend watch does so."
+UNTOLD_OUTLOOK: Final = "Nothing is foretold of it."
 _NOTHING: Final = dict.fromkeys(("half_by", "most_by", "distance_a_day_m", "least_left_m")) | {"outlook": NOT_YET}
 # What calculations raise of numbers that keep the contract and are of no clutch; a LinAlgError is a ValueError.
 BEYOND_NUMBERS: Final = (ArithmeticError, ValueError)
@@ -289,7 +290,8 @@ def foretold(clutches: Sequence[ClutchNow], pasts: Sequence[ClutchPast]) -> list
     prognoses = [past.prognosis for past in pasts]
     known = [prognosis for prognosis in prognoses if prognosis is not None]
     reach = soonest(known)
-    if clutches[0].action == Action.FIND_CAUSE:
+    tells_friction = all(now.tells_friction for now in clutches)
+    if clutches[0].action == Action.FIND_CAUSE or not tells_friction:
         reach = None
     quantiles = (None, None, None) if reach is None else (reach.p10_m, reach.p50_m, reach.p90_m)
     rows = list[Row]()
@@ -306,8 +308,8 @@ def foretold(clutches: Sequence[ClutchNow], pasts: Sequence[ClutchPast]) -> list
                 "half_by": half_by,
                 "most_by": most_by,
                 "distance_a_day_m": a_day_m,
-                "least_left_m": least_left_m(known, Action(now.action)),
-                "outlook": outlook_text(prognoses, now),
+                "least_left_m": least_left_m(known, Action(now.action)) if tells_friction else None,
+                "outlook": outlook_text(prognoses, now) if tells_friction else UNTOLD_OUTLOOK,
             }
         )
     return rows

@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 import logging
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, date, datetime, timedelta
@@ -38,6 +38,7 @@ SILENT_AFTER: Final = timedelta(days=14)
 AHEAD_S: Final = 0.5  # at a time
 SEVERITY: Final[Mapping[str, int]] = {severity: place for place, severity in enumerate(Severity)}  # 0: the worst
 WEEKS: Final = 8  # of the calendar, besides what is due now
+MOST_WANTED: Final = 200  # vehicles of which a reader waits for how they shift: four parts of a list
 _NO_LEVEL: Final = 9.0  # of the view fleet_worst_first
 ByVehicle = Mapping[str, tuple[ClutchNow, ...]]
 _NEVER: Final = datetime.min.replace(tzinfo=UTC)
@@ -103,6 +104,7 @@ class Keeper:
         # Levels, and the result up to which they are.
         self._curves: dict[tuple[str, int], tuple[tuple[object, ...], tuple[float, ...]]] = {}
         self._shiftings: dict[str, tuple[tuple[ClutchNow, ...], str | None]] = {}  # how vehicles shift, and of what
+        self._wanted: deque[str] = deque(maxlen=MOST_WANTED)  # that somebody looked for, the newest last
         self.words_number = 0  # grows whenever one became different
         self._done: tuple[int, datetime] | None = None  # snapshot and dues for which all was worked out ahead
         self.complaint: str | None = None  # why the snapshot is older than it should be
@@ -212,7 +214,10 @@ class Keeper:
         """Return a vehicle with how it shifts, in a sentence, if it cannot tell friction."""
         if now.tells_friction:
             return now
-        return replace(now, shifting=self._shiftings.get(now.vehicle, ((), None))[1] or NOT_YET)
+        told = self._shiftings.get(now.vehicle, ((), None))[1]
+        if told is None:
+            self._wanted.append(now.vehicle)
+        return replace(now, shifting=told or NOT_YET)
 
     @property
     def mark(self) -> int:
@@ -222,11 +227,15 @@ class Keeper:
     def work_ahead(self, budget_s: float) -> None:
         """Foretell when fluids are due, where the watch has not, read levels, tell how vehicles shift: the worst first.
 
-        It ends after ``budget_s``, with one vehicle at least. Later days of the watch replace those foretold here.
+        What a reader was shown without how it shifts is told before all. It ends after ``budget_s``, with one vehicle
+        at least. Later days of the watch replace those foretold here.
         """
         end_s, mark = time.monotonic() + budget_s, (self.snapshot.number, self._dues_at)
         if mark == self._done:
             return
+        while self._wanted:
+            if self._tell_shifting(self._wanted.pop()) and time.monotonic() >= end_s:
+                return
         for worst in self.snapshot.worst:
             vehicle, clutches, last = worst.vehicle, self.snapshot.vehicles[worst.vehicle], (worst.stream, worst.seq)
             is_stale = any((row := self.foretold(now)) is None or row.get("of", now) != now for now in clutches)
@@ -238,13 +247,19 @@ class Keeper:
             is_old = self._curves.get((vehicle, worst.clutch), ((), ()))[0] != last
             if is_old:
                 self._curves[vehicle, worst.clutch] = last, levels_of(self._source.engine, vehicle, worst.clutch)
-            is_heard = not worst.tells_friction and self._shiftings.get(vehicle, ((), None))[0] != clutches
-            if is_heard:
-                self._shiftings[vehicle] = clutches, words_of(self._source.engine, clutches)
-                self.words_number += 1
-            if (is_stale or is_old or is_heard) and time.monotonic() >= end_s:
+            is_told = not worst.tells_friction and self._tell_shifting(vehicle)
+            if (is_stale or is_old or is_told) and time.monotonic() >= end_s:
                 return
         self._done = mark
+
+    def _tell_shifting(self, vehicle: str) -> bool:
+        """Tell in a sentence how a vehicle shifts; return whether there was something new to tell."""
+        clutches = self.snapshot.vehicles.get(vehicle, ())
+        if not clutches or self._shiftings.get(vehicle, ((), None))[0] == clutches:
+            return False
+        self._shiftings[vehicle] = clutches, words_of(self._source.engine, clutches)
+        self.words_number += 1
+        return True
 
     def _soon(self, now: datetime) -> frozenset[str]:
         """Return the vehicles whose fluid is due within a month, more probably than not."""
