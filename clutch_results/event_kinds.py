@@ -82,6 +82,7 @@ class NotMeasured(StrEnum):
     NOT_COMPLETED = "not_completed"
     SIGNAL_MISSING = "signal_missing"
     SAMPLED_TOO_SLOWLY = "sampled_too_slowly"
+    TOO_COARSE = "too_coarse"  # in steps as large as what would be measured
     SAMPLES_MISSING = "samples_missing"  # in a gap that hides what would be measured
     SLIP_TOO_SHORT = "slip_too_short"
     NOT_LOCKED = "not_locked"  # a ratio is that of a gear only while no clutch slips
@@ -116,7 +117,7 @@ class ShiftIndices:
     std_ratio_after: float | None = None
     judder_rad_s: float | None = None  # root mean square of slip between 5 and 20 Hz while the clutch slips
     std_judder_rad_s: float | None = None
-    not_measured: Mapping[str, NotMeasured] = field(default_factory=dict)  # index, in words of this record -> why
+    not_measured: Mapping[str, str] = field(default_factory=dict)  # index by its name here -> a word of `NotMeasured`
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -42,22 +42,6 @@ def _by_index(key: str) -> Callable[[ShiftEstimate], Reading]:
     return read
 
 
-def _slip_energy(estimate: ShiftEstimate) -> Reading:
-    """Return the heat of slip: of the on-coming clutch, or by pressures of both."""
-    energy_j, std_j = _by_index("slip_energy_j")(estimate)
-    if energy_j is None and estimate.shift_quality is not None:
-        packs = [pack.slip_energy_j for pack in estimate.shift_quality.packs if pack.slip_energy_j is not None]
-        energy_j = sum(packs) if packs else None
-    return energy_j, std_j
-
-
-def _jerk(estimate: ShiftEstimate) -> Reading:
-    jerk_m_s3, std_m_s3 = _by_index("jerk_m_s3")(estimate)
-    if jerk_m_s3 is None and estimate.shift_quality is not None:
-        jerk_m_s3 = estimate.shift_quality.parts.jerk_m_s3
-    return jerk_m_s3, std_m_s3
-
-
 def _score(estimate: ShiftEstimate) -> Reading:
     return None if estimate.shift_quality is None else estimate.shift_quality.score, None
 
@@ -85,7 +69,7 @@ PEAK_SLIP: Final = Measure(
     read=_by_index("peak_slip_rad_s"),
 )
 HEAT: Final = replace(
-    PEAK_SLIP, key="slip_energy_j", name="heat", unit="kJ", scale=1e-3, form="{:.2f}", read=_slip_energy
+    PEAK_SLIP, key="slip_energy_j", name="heat", unit="kJ", scale=1e-3, form="{:.2f}", read=_by_index("slip_energy_j")
 )
 CAPACITY: Final = replace(
     PEAK_SLIP,
@@ -114,7 +98,7 @@ JERK: Final = replace(
     form="{:.1f}",
     more="harder",
     less="softer",
-    read=_jerk,
+    read=_by_index("jerk_m_s3"),
 )
 RATIO: Final = replace(CAPACITY, key="ratio_after", name="ratio after", form="{:.3f}", read=_by_index("ratio_after"))
 SCORE: Final = replace(CAPACITY, key="score", name="score", form="{:.0f}", more="better", less="worse", read=_score)
@@ -149,8 +133,6 @@ DRIVEN: Final = (
 
 def shown_measures(tier: Tier | None) -> tuple[Measure, ...]:
     """Return the measures by which people are told how a vehicle of a tier shifts."""
-    return (
-        (SHIFT_TIME, SLIP_TIME, PEAK_SLIP, JERK)
-        if tier is Tier.KINEMATIC
-        else (SLIP_TIME, PEAK_SLIP, HEAT, CAPACITY, SCORE)
-    )
+    if tier is Tier.KINEMATIC:
+        return SHIFT_TIME, SLIP_TIME, PEAK_SLIP, JERK, RATIO
+    return SLIP_TIME, PEAK_SLIP, HEAT, CAPACITY, SCORE

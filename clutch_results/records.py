@@ -379,7 +379,7 @@ _RESULT_KEYS: Final = ("vehicle", "stream", "seq", "produced_at", "algorithm_ver
 _TO_JSON: Final = json.JSONEncoder(allow_nan=False, separators=(",", ":"))
 REVISIONS: Final = "revisions"
 _ONLY_WHERE_THERE: Final = frozenset(
-    {"slope", REVISIONS, "shift_quality", "micro_slip", "element", "causes", "running_since_bus_ns"}
+    {"slope", REVISIONS, "shift_quality", "micro_slip", "element", "causes", "shifting", "running_since_bus_ns"}
 )
 _NOTHING: Final[tuple[object, ...]] = (None, [])  # of these: a number that is 0 is told
 _OF_PACKS: Final = {"slip_energy_j": "slip_energy{}_j", "peak_k": "peak{}_k", "life_ratio": "life{}_ratio"}
@@ -490,15 +490,16 @@ def _with_groups(table: object) -> object:
     return table | {"parts": table, "control": table, "packs": packs}
 
 
-def clutch_record(shift: JsonObject, order: Order | None = None) -> JsonObject:
+def clutch_record(shift: JsonObject, order: Order | None = None, shifting: str | None = None) -> JsonObject:
     """Return the state of the clutch after the shift that last engaged it, from the ``shift_record`` of that shift.
 
     The order is that for the vehicle, the same in the states of both clutches; records of older programs lack some.
+    So is ``shifting``, what is told where friction is not.
     """
     if not isinstance(verdict := shift["verdict"], dict):
         raise ResultError(f"incomplete {SHIFT_SCHEMA} record: no verdict")
     record = {**verdict, **{key: shift[key] for key in (*_RESULT_KEYS, "end_utc")}}
-    record |= {"schema": Channel.CLUTCH.schema_name, **order_record(order)}
+    record |= {"schema": Channel.CLUTCH.schema_name, "shifting": shifting, **order_record(order)}
     record = {key: record.get(key) for key in _keys_of(Channel.CLUTCH)}
     return {key: value for key, value in record.items() if key not in _ONLY_WHERE_THERE or value not in _NOTHING}
 

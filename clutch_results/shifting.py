@@ -412,11 +412,19 @@ def _amount(measure: Measure, change: ShiftingChange, *, is_width: bool = False)
     return f"{text} {unit}".rstrip()
 
 
-def percent_words(measure: Measure, change: ShiftingChange) -> str:
-    """Return a change as a cell of a table: with its sign and two deviations; one that is not seen as these alone."""
+CHANGE_LEGEND: Final = "none: no change beyond these; ?: may be chance, among so many"
+
+
+def percent_words(summary: ShiftingSummary, value: ShiftingValue | None) -> str:
+    """Return the change of a value as a cell of a table, with its sign; `CHANGE_LEGEND` says how to read it."""
+    change = None if value is None else newest_change(summary, value)
+    if value is None or change is None:
+        return "-"
+    measure = BY_KEY[value.key]
     if not change.is_seen:
         return f"none ± {_amount(measure, change, is_width=True)}"
-    return ("+" if change.change > 0.0 else "-") + _amount(measure, change)
+    doubt = "" if is_sure(summary, change) else " ?"
+    return f"{'+' if change.change > 0.0 else '-'}{_amount(measure, change)}{doubt}"
 
 
 def since_words(change: ShiftingChange) -> str:
@@ -432,38 +440,48 @@ def since_words(change: ShiftingChange) -> str:
     return f"in {month}{year}" if (last - first).days > _MONTH_DAYS else f"on {first.day} {month}{year}"
 
 
-def seen_changes(summary: ShiftingSummary) -> list[str]:
-    """Return for people which changes are seen, the surest first; that so many were looked at is taken into account.
+def is_sure(summary: ShiftingSummary, change: ShiftingChange) -> bool:
+    """Return whether a change is seen though so many were looked at, by Bonferroni's bound.
 
-    Bonferroni's bound: of a hundred that are looked at five are beyond two deviations by chance.
+    Of a hundred that are looked at five are beyond two deviations by chance.
     """
-    overall = [(measure, change, f"{measure.name} of all events") for measure, change in _overall_changes(summary)]
+    return change.is_seen and change.chance_probability * len(_looked_at(summary)) < CHANCE
+
+
+def _looked_at(summary: ShiftingSummary) -> list[tuple[Measure, ShiftingChange, str, bool]]:
+    """Return all changes that can be told, of what each is, and whether it is of all events."""
+    overall = [
+        (measure, change, f"{measure.name} of all events", True) for measure, change in _overall_changes(summary)
+    ]
     rows = [
-        (BY_KEY[value.key], change, f"{row.name} {BY_KEY[value.key].name}")
+        (BY_KEY[value.key], change, f"{row.name} {BY_KEY[value.key].name}", False)
         for row in summary.rows
         for value in row.values
-        if (change := _newest(summary, value)) is not None
+        if (change := newest_change(summary, value)) is not None
     ]
-    count = len(overall) + len(rows)
-    sure = [
-        sorted((each for each in some if each[1].is_seen and each[1].chance_probability * count < CHANCE), key=_chance)
-        for some in (overall, rows)
-    ]
-    told = {measure.key for measure, *_ in sure[0]}
-    named = [*sure[0], *(each for each in sure[1] if each[0].key not in told)]
-    return [f"{name}{change_words(measure, change).removeprefix(measure.name)}" for measure, change, name in named]
+    return [*overall, *rows]
 
 
-def _chance(each: tuple[Measure, ShiftingChange, str]) -> float:
-    return each[1].chance_probability
+def seen_changes(summary: ShiftingSummary) -> list[str]:
+    """Return for people which changes are surely seen: those of all events before single kinds, the surest first."""
+    looked_at = _looked_at(summary)
+    sure = [each for each in looked_at if each[1].is_seen and each[1].chance_probability * len(looked_at) < CHANCE]
+    told = {measure.key for measure, *_, is_of_all in sure if is_of_all}
+    named = sorted((each for each in sure if each[3] or each[0].key not in told), key=_order)
+    return [f"{name}{change_words(measure, change).removeprefix(measure.name)}" for measure, change, name, _ in named]
 
 
-def _newest(summary: ShiftingSummary, value: ShiftingValue | OverallChange) -> ShiftingChange | None:
+def _order(each: tuple[Measure, ShiftingChange, str, bool]) -> tuple[bool, float]:
+    return not each[3], each[1].chance_probability
+
+
+def newest_change(summary: ShiftingSummary, value: ShiftingValue | OverallChange) -> ShiftingChange | None:
+    """Return the change that is told: from the first drive to the newest, or over the only one."""
     return value.over_drives if summary.drive_count > 1 else value.over_drive
 
 
 def _overall_changes(summary: ShiftingSummary) -> list[tuple[Measure, ShiftingChange]]:
-    known = ((BY_KEY[value.key], _newest(summary, value)) for value in summary.overall)
+    known = ((BY_KEY[value.key], newest_change(summary, value)) for value in summary.overall)
     return [(measure, change) for measure, change in known if change is not None]
 
 

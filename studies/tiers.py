@@ -331,8 +331,8 @@ def main() -> int:
     parser = study_parser(__doc__, seed=FIRST_SEED)
     parser.add_argument("--vehicles", type=int, default=60)
     parser.add_argument("--trace", default="udds", choices=TRACES)
-    parser.add_argument("--seconds", type=float, default=360.0, help="of the trace (%(default)s)")
-    options = parsed(parser, vehicles=2, seconds=240.0)
+    parser.add_argument("--seconds", type=float, default=180.0, help="of the trace (%(default)s)")
+    options = parsed(parser, vehicles=3)
     cases = [
         TierCase(seed=seed, trace=options.trace, duration_s=options.seconds)
         for seed in range(options.seed, options.seed + options.vehicles)

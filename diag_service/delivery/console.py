@@ -15,6 +15,7 @@ from clutch_results.measures import (
     JERK,
     JUDDER,
     PEAK_SLIP,
+    RATIO,
     SCORE,
     SHIFT_TIME,
     SLIP_TIME,
@@ -23,7 +24,7 @@ from clutch_results.measures import (
 )
 from clutch_results.records import LEAST_SLIP_ROWS, Condition, Reason, ShiftEstimate, ShiftResult, Status, Tier
 from clutch_results.shift_course import load_line
-from clutch_results.shifting import ShiftingSummary, percent_words
+from clutch_results.shifting import CHANGE_LEGEND, ShiftingSummary, percent_words
 from clutchdiag_io.console import PeopleConsole, plain_table
 from clutchdiag_io.people import PLUS_MINUS, SHORT_PLUS_MINUS, half_width, plus_minus
 from clutchdiag_io.program import discard
@@ -79,8 +80,19 @@ _HEAD = f"{'shift':>5}  {'gears':<5} {'event':<18} {'clutch':>6}  {'status':<10}
 _DETAIL_HEAD = f"{'mu_S':>8} {SHORT_PLUS_MINUS:>7} {'P(slope<0)':>10} {'trust':>5} {'oil':>6} "
 _HEAD_END = " clutch is"
 _EVENT_HEAD = f"{'shift':>5}  {'gears':<5} {'event':<18} {'clutch':>6} "
-_COLUMNS = {SLIP_TIME: 10, SHIFT_TIME: 10, PEAK_SLIP: 10, HEAT: 9, CAPACITY: 15, SCORE: 6, JERK: 11, JUDDER: 9}
-_WITH_STDS = 10  # characters more, for two deviations
+_COLUMNS = {
+    SLIP_TIME: 10,
+    SHIFT_TIME: 10,
+    PEAK_SLIP: 10,
+    HEAT: 9,
+    CAPACITY: 8,
+    SCORE: 6,
+    JERK: 10,
+    RATIO: 12,
+    JUDDER: 9,
+}
+_LITTLE_KNOWN = {HEAT, CAPACITY, JERK}  # what means nothing without its deviation
+_WITH_STDS = 8  # characters more, for two deviations
 NOT_MEASURED = f"-: not measured; {PLUS_MINUS}"
 
 
@@ -200,9 +212,9 @@ def _columns(tier: Tier, *, is_detailed: bool) -> Iterator[tuple[Measure, str, i
     """Yield measures of a tier, heads and widths; the deviation is shown of what is known least, or to specialists."""
     shown = shown_measures(tier)
     for measure in (*shown, JUDDER) if is_detailed else shown:
-        has_stds = (is_detailed or measure is CAPACITY) and measure is not SCORE
+        has_stds = (is_detailed or measure in _LITTLE_KNOWN) and measure is not SCORE
         name = f"{measure.name.removeprefix('torque ')}{f' {SHORT_PLUS_MINUS}' if has_stds else ''}"
-        yield measure, name, _COLUMNS[measure] + _WITH_STDS * (has_stds and measure is not CAPACITY)
+        yield measure, name, _COLUMNS[measure] + _WITH_STDS * has_stds
 
 
 def _untold_line(estimate: ShiftEstimate, *, is_detailed: bool) -> Text:
@@ -232,18 +244,15 @@ def shifting_rows(summary: ShiftingSummary) -> Iterator[tuple[str, ...]]:
 
     The change is that of the first measure.
     """
-    shown, over_drives = shown_measures(summary.tier), summary.drive_count > 1
-    change_head = f"{shown[0].name} {'since the first drive' if over_drives else 'over the drive'}"
-    yield "event", "count", *shifting_heads(shown), change_head
+    shown, when = shown_measures(summary.tier), "since the first" if summary.drive_count > 1 else "over the"
+    yield "event", "count", *shifting_heads(shown), f"{shown[0].name} {when} drive"
     for row in summary.rows:
         values = [(measure, row.value(measure)) for measure in shown]
         cells = ["-" if at is None else measure.number(at.mean, at.std) for measure, at in values]
-        first = values[0][1]
-        change = None if first is None else first.over_drives if over_drives else first.over_drive
-        yield row.name, str(row.event_count), *cells, "-" if change is None else percent_words(shown[0], change)
+        yield row.name, str(row.event_count), *cells, percent_words(summary, values[0][1])
 
 
-SHIFTING_LEGEND = f"How it shifts, by kind and gears; {NOT_MEASURED}; none: no change beyond these"
+SHIFTING_LEGEND = f"How it shifts, by kind and gears; {NOT_MEASURED}; {CHANGE_LEGEND}"
 
 
 def shifting_table(summary: ShiftingSummary) -> Table:

@@ -18,20 +18,23 @@ from clutch_results.records import (
     FluidFill,
     ShiftResult,
     StoredResult,
+    Tier,
     clutch_record,
     fill_record,
     iso_utc,
     parse_shift,
     shift_record,
 )
+from clutch_results.shifting import shifting_of, unknown_friction_words
 from diag_service.delivery.reporters import DeliveryLimits, Link
-from diag_service.diagnosis.summary import latest_of, of_present_fluid, order_by
+from diag_service.diagnosis.summary import is_relative, latest_of, of_present_fluid, order_by
 from diag_service.errors import PublishError, PublishRefusedError
 from diag_service.store import ResultStore
 from fleet_contract import Outcome, Outgoing, Receipt, bundle_messages, clutch_message, fluid_message, raw_shift_message
 
 _BACKLOG_SHARE: Final = 4  # one of so many results of a batch is backlog, however much comes in
 BATCH: Final = 200
+MOST_TOLD: Final = 200  # newest results that say how a vehicle without friction shifts
 _MAX_PUBLISHED: Final = 1000  # results that are remembered after a broker acknowledged them
 _LOG = logging.getLogger(__name__)
 
@@ -457,10 +460,21 @@ class Deliverer:
             self._newest[result.estimate.clutch] = positions[id(result)], result
         known = [result for _, result in sorted(self._newest.values(), key=itemgetter(0))]
         order = order_by(known, fluid, today_ns=today_ns)
-        states = (clutch_record(shift_record(result), order) for result in of_present_fluid(known, fluid, today_ns))
+        shifting = self._shifting_words(known)
+        states = (
+            clutch_record(shift_record(result), order, shifting) for result in of_present_fluid(known, fluid, today_ns)
+        )
         news = [message for message in map(clutch_message, states) if self._told.get(message.topic) != message.payload]
         self._told.update({message.topic: message.payload for message in news})
         return news
+
+    def _shifting_words(self, known: Sequence[ShiftResult]) -> str | None:
+        """Return how the vehicle shifts, by its newest events; None where friction is told. Reads the store."""
+        if not known or all(result.estimate.tier is Tier.FRICTION for result in known):
+            return None
+        newest = (parse_shift(row.text) for row in self._state.store.newest(self._state.vehicle, MOST_TOLD))
+        untold = [result for result in newest if result.estimate.tier is not Tier.FRICTION]
+        return f"{unknown_friction_words(shifting_of(untold), is_relative=is_relative(untold))}."
 
     @staticmethod
     def _now_s() -> float:

@@ -186,7 +186,7 @@ class DualClutch:
             estimate,
             data_quality=data.quality,
             tier=self._reach.tier or Tier.KINEMATIC,
-            indices=measure(event, self._calibration) if is_believed else None,
+            indices=measure(event, self._calibration, self._gears) if is_believed else None,
             shift_quality=self._scorer.score(event, known, before.packs) if is_believed else None,
         )
         judged = self._judged if self._tells_friction else self._silent

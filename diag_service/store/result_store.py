@@ -228,6 +228,12 @@ class ResultStore:
             rows = (sql.execute(f"{_ROWS} WHERE position = ?", (position,)).fetchone() for position in positions)
             return [_stored_result(row) for row in rows if row is not None]
 
+    def newest(self, vehicle: str, limit: int) -> list[StoredResult]:
+        """Return the newest results of a vehicle, the oldest of them first, delivered or not."""
+        with self._transaction() as sql:
+            rows = sql.execute(f"{_ROWS} WHERE vehicle = ? ORDER BY position DESC LIMIT ?", (vehicle, limit))
+            return [_stored_result(row) for row in rows][::-1]
+
     def last_position(self, vehicle: str) -> int:
         """Return the position of the newest result; 0 without any."""
         with self._transaction() as sql:

@@ -80,9 +80,13 @@ def test_a_car_without_pressures_tells_slip_capacity_and_what_friction_would_nee
 ) -> None:
     profile = profile_without(tmp_path, "clutch1_pressure", "clutch2_pressure")
     lines = run("analyze", drive_log, "--profile", profile).out.splitlines()
-    assert " ".join(lines[0].split()) == "shift gears event clutch slip time peak slip heat capacity ± 2 std score"
+    assert (
+        " ".join(lines[0].split()) == "shift gears event clutch slip time peak slip heat ± 2 std capacity ± 2 std score"
+    )
     first = next(line for line in lines if " 1-2 " in line)
-    assert re.search(r"power on upshift +2 +\d\.\d\d s +\d+ rpm +(-|\d+\.\d\d kJ) +\d\.\d\d ± \d\.\d\d +\d+$", first)
+    assert re.search(
+        r"power on upshift +2 +\d\.\d\d s +\d+ rpm +\d+\.\d\d ± \d\.\d\d kJ +\d\.\d\d ± \d\.\d\d +\d+$", first
+    )
     text = "\n".join(lines)
     assert not re.search("unobserved|signal missing|no verdict$|engaged it|condition", text, re.MULTILINE)
     assert text.count("friction cannot be known from this car") == 1
@@ -102,8 +106,9 @@ def test_a_car_without_pressures_tells_slip_capacity_and_what_friction_would_nee
 def test_a_car_of_speeds_tells_shift_time_slip_and_jerk(drive_log: Path, tmp_path: Path) -> None:
     ended = run("analyze", drive_log, "--profile", profile_without(tmp_path, "pressure", "torque"))
     head, *lines = ended.out.splitlines()
-    assert " ".join(head.split()) == "shift gears event clutch shift time slip time peak slip jerk"
-    assert all(re.search(r"\d\.\d\d s +\d\.\d\d s +\d+ rpm +(-|\d+\.\d m/s³)$", line) for line in lines[:SHIFT_COUNT])
+    assert " ".join(head.split()) == "shift gears event clutch shift time slip time peak slip jerk ± 2 std ratio after"
+    cells = r"\d\.\d\d s +\d\.\d\d s +\d+ rpm +(-|\d+\.\d ± \d+\.\d m/s³) +\d+\.\d{3}$"
+    assert all(re.search(cells, line) for line in lines[:SHIFT_COUNT])
     assert "capacity" not in head + "".join(lines[:SHIFT_COUNT])
     assert "tier 3 of 3, shift time and slip, no friction" in ended.out
     assert "  engine torque: asked for by 22 100C at 7E1 (profile dct_asked)" in ended.out

@@ -16,7 +16,7 @@ from clutch_model.calibration import Calibration, clutch_of_gear
 from clutch_model.units import NS_PER_S
 from clutch_results.event_kinds import NotMeasured
 from diag_service.diagnosis.alignment import segment_centres_s
-from diag_service.diagnosis.columns import Columns, Signal
+from diag_service.diagnosis.columns import Columns, GearRatios, Signal
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.shifts.shifts import SHAFTS
 
@@ -27,6 +27,7 @@ APART_STD_S: Final = 0.01 * UNIFORM  # by which two speeds of one bus are apart:
 SPAN_S: Final = 0.5  # before and after an event, over which a gear's ratio is looked at
 LEAST_SPAN_S: Final = 0.05  # less tells no ratio
 LEAST_ROWS: Final = 3
+STATED_RATIO_STD: Final = 0.005  # relative: tyres wear, and descriptions round
 SETTLED_RAD_S: Final = 3.0  # rms: a locked driveline swings by so much about the ratio of its gear
 DRIFT_RAD_S: Final = 2.0  # of engine speed less ratio times output over the span: more is slip
 SWING_S: Final = 0.06  # half a period of a driveline, at about 8 Hz: for so long deviations from the ratio are alike
@@ -59,6 +60,11 @@ class Samples(NamedTuple):
     def gap_s(self) -> float:
         """From one sample to the next, as a rule."""
         return _middle(np.diff(self.t_s))
+
+    @property
+    def is_fine(self) -> bool:
+        """Of the car's speed: whether it tells jerk to 15 m/s3, which is about as much as passengers feel."""
+        return self.std * math.sqrt(self.gap_s) < COARSE_M_S
 
     def gap_at_s(self, t_s: float) -> float:
         """Return how far the samples on either side of a moment are apart [s]."""
@@ -118,6 +124,19 @@ class Ratios:
     over: Signal | None = None
     before: Value | None = None
     after: Value | None = None
+
+
+def stated_ratios(event: Event, gears: GearRatios | None) -> Ratios:
+    """Return the ratios of the gears before and after an event as a description of the car has them."""
+    if gears is None:
+        return Ratios()
+    before, after = (
+        Value(gears.ratios[gear - 1], STATED_RATIO_STD * gears.ratios[gear - 1])
+        if 1 <= gear <= len(gears.ratios)
+        else None
+        for gear in (event.from_gear, event.to_gear)
+    )
+    return Ratios(over=gears.over, before=before, after=after)
 
 
 def gear_ratios(event: Event, engine: Samples, duration_s: float, gaps_s: tuple[float, float]) -> Ratios:
@@ -278,11 +297,16 @@ def car_speed(columns: Columns, origin_ns: int) -> Samples | None:
         mean = np.mean([one.value for one in wheels], axis=0)
         std = math.sqrt(sum(one.std**2 for one in wheels)) / len(wheels)
         together.append(Samples(wheels[0].t_s, mean, std * math.sqrt(_held_count(wheels[0].value))))
-    fine = [one for one in together if one.std * math.sqrt(one.gap_s) < FINE_M_S]
-    return min(fine[:1] or together, key=lambda one: one.std * math.sqrt(one.gap_s), default=None)
+    moving = [one for one in together if np.count_nonzero(np.diff(one.value)) >= LEAST_CHANGES] or together[:0]
+    fine = [one for one in moving if one.std * math.sqrt(one.gap_s) < FINE_M_S]
+    return min(fine[:1] or moving, key=lambda one: one.std * math.sqrt(one.gap_s), default=None)
 
 
 FINE_M_S: Final = 0.05 * math.sqrt(0.01)  # by samples every 10 ms: a speed that tells jerk to 5 m/s3
+COARSE_M_S: Final = 3.0 * FINE_M_S
+
+
+LEAST_CHANGES: Final = 4  # of a speed around an event: of what stays nobody knows how coarse it is
 
 
 def _held_count(value: FloatArray) -> float:

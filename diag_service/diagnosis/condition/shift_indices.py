@@ -13,11 +13,12 @@ from clutch_model.calibration import Calibration, clutch_of_gear
 from clutch_model.units import NS_PER_S
 from clutch_results.event_kinds import EndReason, NotMeasured, ShiftIndices
 from diag_service.diagnosis.alignment import COMMAND_LAG_S, readings
-from diag_service.diagnosis.columns import Signal
+from diag_service.diagnosis.columns import GearRatios, Signal
 from diag_service.diagnosis.condition.index_signals import (
     AGE_STD_S,
     GEARS,
     UNIFORM,
+    WHEELS,
     Ratios,
     Samples,
     Slip,
@@ -32,6 +33,7 @@ from diag_service.diagnosis.condition.index_signals import (
     shaft_samples,
     slip_on,
     slopes_at,
+    stated_ratios,
 )
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.shifts.shifts import LOADED_NM, LOADED_PA, PRESSURES, SLIP_RAD_S
@@ -68,8 +70,8 @@ class _Grid(NamedTuple):
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # a damaged value of a log may be any number
-def measure(event: Event, calibration: Calibration) -> ShiftIndices:
-    """Return the indices of a shift as far as its signals go."""
+def measure(event: Event, calibration: Calibration, gears: GearRatios | None = None) -> ShiftIndices:
+    """Return the indices of a shift as far as its signals go; ``gears`` are what a description tells of the car's."""
     if event.end_reason is not EndReason.COMPLETE or event.end_ns <= event.start_ns:
         return ShiftIndices(not_measured={"shift_time_s": NotMeasured.NOT_COMPLETED})
     duration_s = (event.end_ns - event.start_ns) / NS_PER_S
@@ -84,8 +86,13 @@ def measure(event: Event, calibration: Calibration) -> ShiftIndices:
     grid = _grid_of(event, t_s, calibration)
     slips = dict[int, Slip]()
     acceleration_rad_s2 = np.zeros(len(t_s)) if engine is None else slopes_at(engine, t_s)
-    for gear, ratio in ((event.to_gear, ratios.after), (event.from_gear, ratios.before)):
-        shaft = None if engine is None else shaft_samples(event, gear, ratio, ratios.over)
+    stated = stated_ratios(event, gears)
+    for gear, ratio, other in (
+        (event.to_gear, ratios.after, stated.after),
+        (event.from_gear, ratios.before, stated.before),
+    ):
+        over = stated.over if ratio is None else ratios.over
+        shaft = None if engine is None else shaft_samples(event, gear, ratio or other, over)
         if shaft is not None and engine is not None:
             slips[gear] = slip_on(t_s, engine, acceleration_rad_s2, *shaft)
     slip = slips.get(event.to_gear) or _stated_slip(grid)
@@ -99,9 +106,17 @@ def measure(event: Event, calibration: Calibration) -> ShiftIndices:
     else:
         off = None if event.from_gear == event.to_gear else slips.get(event.from_gear)
         _slip_indices(found, grid, slip, off, gaps_s, calibration)
-    car = car_speed(event.columns, event.start_ns)
-    found.put("jerk_m_s3", NotMeasured.SIGNAL_MISSING if car is None else jerk_of(car, 0.0, duration_s))
+    found.put("jerk_m_s3", _jerk(event, duration_s))
     return ShiftIndices(**found.numbers, not_measured=found.reasons)
+
+
+def _jerk(event: Event, duration_s: float) -> Value | NotMeasured:
+    """Return the jerk of the car, if its speed is told finely enough."""
+    car = car_speed(event.columns, event.start_ns)
+    if car is None:
+        is_there = any(signal in event.columns for signal in (Signal.VEHICLE_SPEED, *WHEELS))
+        return NotMeasured.TOO_COARSE if is_there else NotMeasured.SIGNAL_MISSING
+    return jerk_of(car, 0.0, duration_s) if car.is_fine else NotMeasured.TOO_COARSE
 
 
 class _Found(NamedTuple):

@@ -1,7 +1,7 @@
-"""What a gear change was like: indices by speeds and torques alone; parts of its quality, one score.
+"""How well a gear change went: the parts of its quality, one score.
 
-Definitions and limits of the indices: docs/model.md. Parts, weights and their sources: docs/verdict.md. Signals
-that are missing leave parts out; the score is that of the others.
+Parts, weights and their sources: docs/verdict.md. Signals that are missing leave parts out; the score is that of the
+others.
 """
 
 import math
@@ -21,6 +21,7 @@ from clutch_results.loads import PARTS
 from clutch_results.records import quality_from, quality_keys
 from diag_service.diagnosis.alignment import readings
 from diag_service.diagnosis.columns import GearRatios, Signal
+from diag_service.diagnosis.condition.index_signals import car_speed
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.drives import PackTemperatures
 from diag_service.diagnosis.friction.evidence import Knowledge, State
@@ -175,6 +176,8 @@ class ShiftScorer:
         signals = _SIGNALS[on] if self._gears is None else (*_SIGNALS[on], self._gears.over)
         values = readings(event.columns, signals, event.start_ns, grid_s)
         self._fill_speeds(event, clutches, values, rows)
+        if Signal.OUTPUT_SPEED not in values and (car := car_speed(event.columns, event.start_ns)) is not None:
+            rows.car_m_s = car.at(grid_s) if car.is_fine else rows.car_m_s
         first_pa, second_pa = self._packs[on].touch_pa, self._packs[off].touch_pa
         if known is not None:
             for name, signal, zero_pa in (
@@ -223,8 +226,6 @@ class ShiftScorer:
             turning = values.get(Signal.OUTPUT_SPEED)  # finer than the car's own
             if turning is not None:
                 rows.car_m_s = turning * (speed.value.mean() / mean if (mean := turning.mean()) > 1.0 else math.nan)
-            else:
-                rows.car_m_s = values.get(Signal.VEHICLE_SPEED, rows.car_m_s)
 
     def _errors(self, on: int, parts: Mapping[str, float], touch_pa: float, known: Knowledge) -> dict[str, float]:
         """Return what the control has wrong of the on-coming clutch, and the standard deviations, by part."""

@@ -5,16 +5,19 @@ from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager, closing
 from dataclasses import replace
 
+import numpy as np
 import pytest
+from jsonschema import Draft202012Validator
 
 from clutch_results.records import shift_record
 from diag_service.delivery import Acknowledge, DeliveryLimits, Outbox
 from diag_service.errors import PublishError
 from diag_service.store import ResultStore
-from fleet_contract import Outcome, Receipt, key_of
+from fleet_contract import Outcome, Receipt, key_of, schema
 from tests.support.builders import shift_result
 from tests.support.memory_link import MemoryLink
 from tests.support.outboxes import STATE, until
+from tests.support.shiftings import scattered
 
 QUICK = DeliveryLimits(first_pause_s=0.001)
 
@@ -78,6 +81,32 @@ async def test_states_tell_what_ended_last_of_what_was_made_like_the_last(store:
     told = link.states[-1]
     assert (told["seq"], told["calibration_version"]) == (2, "another")
     assert "Clutch 1: no event engaged it yet." in str(told["order"])  # by that calibration
+
+
+async def test_the_states_of_a_vehicle_without_friction_say_how_it_shifts(store: ResultStore) -> None:
+    link = MemoryLink()
+    outbox = Outbox(store, "car1", Broker(link).connect, "broker", limits=QUICK)
+    for result in scattered(np.random.default_rng(5), [0, 1, 2, 90, 91, 92], 12, growth=0.3, among=0.01):
+        store.add(result, STATE)
+    sender = asyncio.create_task(outbox.run())
+    await until(lambda: store.unpublished_count("car1") == 0)
+    assert await outbox.close(sender) == 0
+    told = link.states[-1]
+    Draft202012Validator(schema("clutch")).validate(told)
+    assert told["order"] == "There is no verdict on the fluid: friction cannot be known from this car."
+    shifting = str(told["shifting"])
+    assert shifting.startswith("Friction: cannot be known from this car; shifting: 72 events in 6 drives; power on")
+    assert "% longer than in March" in shifting
+
+
+async def test_a_state_with_friction_says_nothing_of_shifting(store: ResultStore) -> None:
+    link = MemoryLink()
+    outbox = Outbox(store, "car1", Broker(link).connect, "broker", limits=QUICK)
+    put(store, 1)
+    sender = asyncio.create_task(outbox.run())
+    await until(lambda: store.unpublished_count("car1") == 0)
+    assert await outbox.close(sender) == 0
+    assert "shifting" not in link.states[-1]
 
 
 async def test_what_was_acknowledged_just_before_the_connection_broke_is_sent_again(store: ResultStore) -> None:
