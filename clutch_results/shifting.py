@@ -415,7 +415,7 @@ def _amount(measure: Measure, change: ShiftingChange, *, is_width: bool = False)
 CHANGE_LEGEND: Final = "none: no change beyond these; ?: may be chance, among so many"
 
 
-def percent_words(summary: ShiftingSummary, value: ShiftingValue | None) -> str:
+def percent_words(summary: ShiftingSummary, value: ShiftingValue | OverallChange | None) -> str:
     """Return the change of a value as a cell of a table, with its sign; `CHANGE_LEGEND` says how to read it."""
     change = None if value is None else newest_change(summary, value)
     if value is None or change is None:

@@ -2,17 +2,18 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, Final
 
 from sqlalchemy import Engine
 
-from clutch_results.measures import BY_KEY, MEASURES, Measure
+from clutch_results.measures import MEASURES, Measure
 from clutch_results.records import ShiftEstimate, Tier
 from clutch_results.shifting import (
-    ShiftingChange,
+    CHANGE_LEGEND,
+    OverallChange,
     ShiftingRow,
     ShiftingSummary,
+    ShiftingValue,
     percent_words,
     shifting_of,
     shifting_record,
@@ -61,28 +62,33 @@ class ShiftingTable:
 
 
 def shifting_tables(summary: ShiftingSummary) -> list[ShiftingTable]:
-    """Return the events of a vehicle by kind and gears, then what changed; a dash is what is not measured."""
+    """Return the events of a vehicle by kind and gears, then what changed of them; a dash is what is not measured."""
     keys = {value.key for row in summary.rows for value in row.values}
     measures = [measure for measure in MEASURES if measure.key in keys]
-    names = (f"{measure.name} [{measure.unit}]" if measure.unit else measure.name for measure in measures)
-    rows = [(row.name, str(row.event_count), *(_mean(row, measure) for measure in measures)) for row in summary.rows]
+    heads = (f"{measure.name} [{measure.unit}]" if measure.unit else measure.name for measure in measures)
     drives = f"{summary.event_count} events in {summary.drive_count} drives"
-    changes = [
-        (BY_KEY[change.key].name, *map(partial(_change, BY_KEY[change.key]), (change.over_drive, change.over_drives)))
-        for change in summary.overall
-    ]
     means = ShiftingTable(
-        caption=f"Means by kind and gears, {PLUS_MINUS}: {drives}", heads=("event", "events", *names), rows=tuple(rows)
+        caption=f"By kind and gears, mean {PLUS_MINUS}: {drives}",
+        heads=("event", "events", *heads),
+        rows=tuple(
+            (row.name, str(row.event_count), *(_mean(row, measure) for measure in measures)) for row in summary.rows
+        ),
     )
-    heads = ("of all events", "over the newest drive", "since the first drive")
-    trend = ShiftingTable(caption=f"What changed, {PLUS_MINUS}", heads=heads, rows=tuple(changes))
-    return [means, *([trend] if changes else [])]
+    overall = {change.key: change for change in summary.overall}
+    changed: list[tuple[str, Sequence[ShiftingValue | OverallChange | None]]] = [
+        ("all events", [overall.get(measure.key) for measure in measures]),
+        *((row.name, [row.value(measure) for measure in measures]) for row in summary.rows),
+    ]
+    told = [(name, [percent_words(summary, value) for value in values]) for name, values in changed]
+    since = "since the first drive" if summary.drive_count > 1 else "over the drive"
+    trend = ShiftingTable(
+        caption=f"What changed {since}, {PLUS_MINUS}; {CHANGE_LEGEND}",
+        heads=("event", *(measure.name for measure in measures)),
+        rows=tuple((name, *(NONE if text == "-" else text for text in texts)) for name, texts in told),
+    )
+    return [means, trend]
 
 
 def _mean(row: ShiftingRow, measure: Measure) -> str:
     value = row.value(measure)
     return NONE if value is None else measure.number(value.mean, value.std)
-
-
-def _change(measure: Measure, change: ShiftingChange | None) -> str:
-    return NONE if change is None else percent_words(measure, change)
