@@ -16,9 +16,10 @@ import numpy as np
 from canlog.arrays import BoolArray, FloatArray, Int64Array, Series
 from clutch_model.units import NS_PER_S, bar_from_pa, rpm_from_rad_s
 from clutchdiag_io.people import digits
-from diag_service.diagnosis.columns import Signal
+from diag_service.diagnosis.columns import SUMMED_SIGNALS, Signal
 from diag_service.mapping.proposal import Candidate
 from diag_service.mapping.signal_words import signal_words
+from diag_service.mapping.units import TO_SI, USUAL, UnitReading
 
 Best = Mapping[Signal, Sequence[Candidate]]
 Tracks = Mapping[tuple[Signal, int], Series]
@@ -41,6 +42,14 @@ MOST_OFF: Final = 0.3  # of a logarithm: a gear change or a wrong gear is no wor
 TURNS_RAD_S: Final = 50.0
 MOVES: Final = 2.0  # rad/s or m/s
 SMOOTH_S: Final = 0.4  # over which acceleration is taken
+SLOWEST_RAD_S: Final = 0.2  # of a shaft that turns, whatever its unit
+_SHAFT: Final = (0.33, 3.0)
+OVER_ENGINE: Final[Mapping[Signal, tuple[float, float]]] = {
+    **dict.fromkeys((Signal.TURBINE_SPEED, Signal.INPUT_SPEED, Signal.HUB_SPEED), _SHAFT),
+    **dict.fromkeys((Signal.INPUT1_SPEED, Signal.INPUT2_SPEED), _SHAFT),
+    Signal.OUTPUT_SPEED: (0.4, 25.0),
+}
+"""How many times as fast as a shaft an engine turns, in the middle of a drive; an axle's is slower by its own ratio."""
 
 
 class Sureness(Enum):
@@ -252,6 +261,50 @@ def contested(best: Best) -> frozenset[Signal]:
     return frozenset(signal for signal, candidates in best.items() if len(candidates) > 1)
 
 
+def needs_tracks(best: Best) -> bool:
+    """Return whether a log must be read again to order candidates, or to tell units."""
+    return bool(contested(best)) or best.keys() >= SUMMED_SIGNALS or any(_is_assumed(*found) for found in best.items())
+
+
+def _is_assumed(signal: Signal, candidates: Sequence[Candidate]) -> bool:
+    """Return whether nothing says in which unit a shaft's speed is."""
+    return signal in OVER_ENGINE and any(candidate.reading.why.startswith("assumed") for candidate in candidates)
+
+
+def by_engine(best: Best, tracks: Tracks) -> tuple[Best, Tracks]:
+    """Return candidates and their values with the units of shafts that engine speed allows, where nothing says them.
+
+    Gears span a bounded range of ratios, and rpm and rad/s differ by 9.55: read in the wrong one, a shaft would be
+    slower or faster than any gear makes it.
+    """
+    engine = tracks.get((Signal.ENGINE_SPEED, 0))
+    if engine is None:
+        return best, tracks
+    units, values = {signal: list(candidates) for signal, candidates in best.items()}, dict(tracks)
+    for signal, rank in tracks:
+        candidate = best[signal][rank]
+        if not _is_assumed(signal, [candidate]):
+            continue
+        grid_ns = _grid(engine, tracks[signal, rank])
+        driving, shaft = (np.interp(grid_ns, one.t_ns, one.value) for one in (engine, tracks[signal, rank]))
+        turns = (driving > TURNS_RAD_S) & (shaft > SLOWEST_RAD_S)
+        if np.count_nonzero(turns) < LEAST_BLOCKS * BLOCK_S / GRID_S:
+            continue
+        lowest, highest = OVER_ENGINE[signal]
+        ratio, now = float(np.median(driving[turns] / shaft[turns])), TO_SI["rad_s"][candidate.unit].factor
+        fitting = [
+            unit
+            for unit in USUAL["rad_s"]
+            if lowest < ratio * now / TO_SI["rad_s"][unit].factor < highest and not lowest < ratio < highest
+        ]
+        if fitting:
+            why = f"assumed: in {candidate.unit} the engine would turn {digits(ratio)} times as fast"
+            units[signal][rank] = replace(candidate, reading=UnitReading(unit=fitting[0], why=why))
+            series, scale = tracks[signal, rank], TO_SI["rad_s"][fitting[0]].factor / now
+            values[signal, rank] = Series(t_ns=series.t_ns, sequence=series.sequence, value=scale * series.value)
+    return units, values
+
+
 def judged(best: Best, tracks: Tracks) -> tuple[dict[Signal, list[Candidate]], tuple[Contest, ...]]:
     """Return the candidates as physics orders them, and the contests that decided.
 
@@ -262,12 +315,13 @@ def judged(best: Best, tracks: Tracks) -> tuple[dict[Signal, list[Candidate]], t
     tracks
         What they were in a log.
     """
+    best, tracks = by_engine(best, tracks)
     ordered, contests = {signal: list(candidates) for signal, candidates in best.items()}, list[Contest]()
     ranks = dict.fromkeys(ordered, 0)  # of the candidates that stand for their quantities
     for signal in Signal:
         if signal in contested(best):
             contest, rank = _contest(signal, best, tracks, ranks)
-            contests.append(contest)
+            contests += [contest] if len(contest.places) > 1 else []
             ranks[signal] = rank
             ordered[signal].insert(0, ordered[signal].pop(rank))
     if (veto := _engine_again(best, tracks, ranks)) is not None:
@@ -291,21 +345,24 @@ def _contest(signal: Signal, best: Best, tracks: Tracks, ranks: Mapping[Signal, 
     plain = Contest(
         signal=signal, relation=words, unit=unit, places=rival_places, misfits=(), sureness=Sureness.BY_NAME
     )
-    if relation is None or len(rivals) < 2 or any((signal, rank) not in tracks for rank in rivals):
+    if len(rivals) < 2 or any((signal, rank) not in tracks for rank in rivals):
         return plain, 0
-    others = [other for other in relation.needs if other is not signal]
+    others = [] if relation is None else [other for other in relation.needs if other is not signal]
     series = {other: tracks[other, ranks[other]] for other in others}
     grid_ns = _grid(*series.values(), *(tracks[signal, rank] for rank in rivals))
-    around = {other: _on_grid(other, one, grid_ns) for other, one in series.items()}
     values = [_on_grid(signal, tracks[signal, rank], grid_ns) for rank in rivals]
+    differs = _differ(signal, values)
+    if not differs.any() and max((float(np.ptp(one)) for one in values if len(one)), default=0.0) > MANY * DIFFER:
+        return replace(plain, sureness=Sureness.EQUAL), 0
+    if relation is None:
+        return plain, 0
+    around = {other: _on_grid(other, one, grid_ns) for other, one in series.items()}
     total, rest = np.sum(values, axis=0), len(values) - 1
     misses = np.array([relation.misses({**around, signal: one}, signal, (total - one) / rest) for one in values])
-    counts = np.isfinite(misses).all(axis=0) & _differ(signal, values)
+    counts = np.isfinite(misses).all(axis=0) & differs
     blocks = (grid_ns / (BLOCK_S * NS_PER_S)).astype(np.int64)[counts]
     if len(np.unique(blocks)) < LEAST_BLOCKS:
-        moved = max((float(np.ptp(one)) for one in values if len(one)), default=0.0)
-        is_alike = moved > MANY * DIFFER and np.isfinite(misses).any()
-        return replace(plain, sureness=Sureness.EQUAL if is_alike else Sureness.TOO_LITTLE), 0
+        return replace(plain, sureness=Sureness.TOO_LITTLE), 0
     means = np.array([_by_block(one[counts], blocks) for one in misses])
     return _decided(plain, rivals, means)
 

@@ -26,16 +26,17 @@ from clutch_model.units import NS_PER_S, bar_from_pa
 from clutchdiag_io.people import digits
 from clutchdiag_io.program import legible
 from dbc.contract import DBC_PATH
-from diag_service.diagnosis.columns import NO_SAMPLES, SUMMED_SIGNALS, ColumnBatch, GearRatios, Signal
+from diag_service.diagnosis.columns import NO_SAMPLES, ColumnBatch, GearRatios, Signal
 from diag_service.diagnosis.prediction import LEAST_CERTAIN, LEAST_EVENTS, LEAST_OF_CLUTCH, fitted
 from diag_service.diagnosis.slip_phase import HELD_PA, SlipPhase
 from diag_service.errors import StoppedError
 from diag_service.mapping import proposal
-from diag_service.mapping.contest import MOST_CANDIDATES, Best, contested, joined, judged, thinned
+from diag_service.mapping.contest import MOST_CANDIDATES, Best, joined, judged, needs_tracks, thinned
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.interpretation import open_database
+from diag_service.mapping.liveness import COUPLED, DEMANDS, LEAST_RECORDED, Liveness, StillSignal
 from diag_service.mapping.mapped_messages import is_of_lockup, missing_for_next, reach_in_words, tier_of
-from diag_service.mapping.profile import Profile
+from diag_service.mapping.profile import Profile, SignalSource
 from diag_service.mapping.proposal import LEAST_SAMPLES, LEAST_SPEED, GearRatio, densest, is_complete
 
 MOST_ROWS: Final = 400_000  # that are kept of all drives: beyond, every second one goes
@@ -520,7 +521,10 @@ def proposed_profile(
     name, stem = (shown_name(log), "piped") if log == STANDARD_INPUT else (log.name, log.stem)
     best = proposal.candidates(survey.statistics())
     best, contests = judged(best, _tracks(log, database, best, columns) if log != STANDARD_INPUT else {})
-    over, ratios = _shown_ratios(log, database, best, columns)
+    places = {signal: found[0].statistics.place for signal, found in best.items()}
+    still = _still(log, database, best, columns)
+    best = {signal: found for signal, found in best.items() if signal not in {one.signal for one in still}}
+    over, ratios = _shown_ratios(log, database, best, columns, are_numbered=any(one.signal in GEARS for one in still))
     knows_gears = proposal.is_complete(ratios)
     reach = reach_in_words(best.keys(), knows_gears=knows_gears)
     asked = {"knows_gears": knows_gears, "has_converter": is_of_lockup(best.keys())}
@@ -535,6 +539,7 @@ def proposed_profile(
         *proposal.unfit_units(survey.statistics(), best),
         *proposal.questioned(best),
         *(contest.text for contest in contests),
+        *(one.text(places[one.signal]) for one in still),
         *survey.listing(),
         "",
     ]
@@ -544,7 +549,7 @@ def proposed_profile(
 
 def _tracks(log: Path, database: Database, best: Best, columns: str) -> dict[tuple[Signal, int], Series]:
     """Return what the candidates for quantities were in a log, by quantity and rank; none without a contest."""
-    if not contested(best) and not best.keys() >= SUMMED_SIGNALS:
+    if not needs_tracks(best):
         return {}
     pieces = dict[tuple[Signal, int], list[Series]]()
     for rank in range(MOST_CANDIDATES):
@@ -559,18 +564,37 @@ def _tracks(log: Path, database: Database, best: Best, columns: str) -> dict[tup
     return {key: joined(found) for key, found in pieces.items()}
 
 
+def _still(log: Path, database: Database, best: Best, columns: str) -> tuple[StillSignal, ...]:
+    """Return what a log shows to stand still where physics demands motion; nothing of what comes through a pipe."""
+    liveness = Liveness.of(best.keys() & DEMANDS.keys() | best.keys() & COUPLED)
+    if log == STANDARD_INPUT or not liveness.signals:
+        return ()
+    decoder = Decoder(database, Profile(name="proposed", sources=_sources(best)))
+    with closing(read_log(log, columns=columns)) as reader:
+        for batch in decoder.whole(reader):
+            if (liveness := liveness.advanced(batch)).is_settled:
+                break
+    return liveness.still(LEAST_RECORDED)
+
+
+def _sources(best: Best) -> dict[Signal, SignalSource]:
+    return {signal: found[0].source for signal, found in best.items()}
+
+
 def _shown_ratios(
-    log: Path, database: Database, best: Mapping[Signal, Sequence[proposal.Candidate]], columns: str
+    log: Path, database: Database, best: Best, columns: str, *, are_numbered: bool
 ) -> tuple[Signal, Mapping[int, proposal.GearRatio]]:
-    """Return over which speed a log shows the ratios of which gears; none where they are not needed."""
+    """Return over which speed a log shows the ratios of which gears; none where they are not needed.
+
+    Where no signal names gears they have ratios only if they ``are_numbered`` from the highest ratio on.
+    """
     over = next((one for one in BEHIND if one in best), None)
     knows_slip = tier_of(best.keys()) is not None and best.keys() & {Signal.INPUT1_SPEED, Signal.INPUT_SPEED}
     if log == STANDARD_INPUT or over is None or knows_slip or is_of_lockup(best.keys()):
         return Signal.OUTPUT_SPEED, {}
-    profile = Profile(name="proposed", sources={signal: found[0].source for signal, found in best.items()})
-    decoder, survey = Decoder(database, profile), VehicleSurvey(over)
+    decoder, survey = Decoder(database, Profile(name="proposed", sources=_sources(best))), VehicleSurvey(over)
     with closing(read_log(log, columns=columns)) as reader:
         for one in decoder.whole(reader):
             survey.add(one)
     learned = survey.learned()
-    return over, {gear: one.ratio for gear, one in learned.gears.items() if learned.are_named}
+    return over, {gear: one.ratio for gear, one in learned.gears.items() if learned.are_named or are_numbered}

@@ -60,6 +60,8 @@ DEMANDS: Final[Mapping[Signal, Occasion]] = {
 as on a dynamometer an axle stands, nor pressures: a sensor that fails is a matter of data quality."""
 _FRONTS: Final = (Signal.ENGINE_SPEED, Signal.TURBINE_SPEED, Signal.INPUT_SPEED)
 _BEHINDS: Final = (Signal.OUTPUT_SPEED, Signal.VEHICLE_SPEED, Signal.WHEEL_FL_SPEED, Signal.WHEEL_RL_SPEED)
+COUPLED: Final = frozenset({*_FRONTS, *_BEHINDS})
+"""What proves that the others must move."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -128,6 +128,8 @@ HOTTEST_K: Final = k_from_degc(110.0)  # that oil is not always above: coolers h
 MOST_ABOVE_COOLANT_K: Final = 15.0  # of oil that is always hotter than the coolant ever is
 ROLLING_M: Final = (0.045, 0.18)  # of a car for a radian of the output shaft: .27 m over 5.9 to .5 m over 2.8
 LEAST_OUTPUT_RAD_S: Final = 50.0
+SLOWEST_IDLE_RAD_S: Final = 40.0  # 380 rpm: no engine of a car or truck idles slower
+MOST_SLOW: Final = 0.5  # of the different speeds: an engine that starts or stalls passes few
 
 
 class ToldStep(NamedTuple):
@@ -229,7 +231,7 @@ def reading_of(
     for unit, ends in possible.items():
         is_against = step is not None and conversion_name(unit) != conversion_name(step.unit)
         steps = f"its steps of {step.size:.4g} are {step.native} told in {step.unit}" if step is not None else ""
-        doubts[unit] = steps if is_against else around.doubt(signal, ends)
+        doubts[unit] = steps if is_against else around.doubt(signal, ends) or _slow_engine(signal, unit, values)
     sound = [unit for unit in possible if not doubts[unit]]
     stated = header or (name if name in possible else "")
     if stated in possible and not doubts[stated]:
@@ -246,6 +248,14 @@ def reading_of(
     by_steps = step is not None and preferred[0] == step.unit
     why = f"assumed: its steps are {step.native}" if by_steps and step is not None else "assumed: nothing says the unit"
     return UnitReading(unit=preferred[0], why=why)
+
+
+def _slow_engine(signal: Signal, unit: str, values: FloatArray) -> str:
+    """Return why an engine's speeds are hardly in a unit: most of them would be below any idle; empty if they may."""
+    convert = conversion("rad_s", unit) if signal is Signal.ENGINE_SPEED else None
+    turning = np.empty(0) if convert is None else convert(values[values > 0.0])
+    is_slow = len(turning) > LEAST_STEPS and np.mean(turning < SLOWEST_IDLE_RAD_S) > MOST_SLOW
+    return "the engine would mostly turn slower than any idles" if is_slow else ""
 
 
 def conversion_name(unit: str) -> str:

@@ -105,13 +105,30 @@ def test_the_pump_alone_is_told_and_not_taken_for_the_turbine(drive: Drive, tmp_
 def test_two_engine_speeds_and_two_temperatures_are_told(drive: Drive, tmp_path: Path) -> None:
     table = table_of(drive)
     rng = np.random.default_rng(4)
-    table["Engine Speed", "rpm"] = table["Engine RPM", "rpm"] + rng.normal(0.0, 1.0, len(rows_of(drive)))
+    table["Engine Speed", "rpm"] = np.maximum(
+        table["Engine RPM", "rpm"] + rng.normal(0.0, 1.0, len(rows_of(drive))), 0.0
+    )
     table["Trans Oil Temp", "degC"] = table["Trans Fluid Temp", "degC"] - 4.0
     found, _ = contests(written(tmp_path / "double.csv", table))
     engine, oil = found
     assert "'Engine RPM'" in engine
     assert engine.endswith("(nearly equal on this log: chosen by name)")  # they differ nowhere by more than noise
     assert oil.endswith("(by name only: no relation of physics tells them apart)")
+
+
+def test_units_that_nothing_says_come_from_what_an_engine_and_gears_can(drive: Drive, tmp_path: Path) -> None:
+    table = table_of(drive)
+    bare = {
+        (name, ""): value / (RPM if unit == "rpm" and name != "Trans Output Shaft RPM" else 1.0)
+        for (name, unit), value in table.items()
+    }
+    named = {(name.replace(" RPM", " Speed"), unit): value for (name, unit), value in bare.items()}
+    profile = contests(written(tmp_path / "bare.csv", named))[1]
+    units = {line.split(" = ")[0]: line.split('unit = "')[1].split('"')[0] for line in profile if line[0] != "#"}
+    assert units["engine_speed_rad_s"] == "rad/s"
+    assert units["turbine_speed_rad_s"] == "rad/s"
+    assert units["output_speed_rad_s"] == "rpm"
+    assert units["lockup_pressure_command_pa"] == "bar"
 
 
 def test_a_parked_car_tells_nothing_and_the_name_chooses(drive: Drive, tmp_path: Path) -> None:

@@ -51,8 +51,8 @@ def test_gears_and_input_that_never_move_are_told_and_the_drive_is_read_by_its_s
 ) -> None:
     log, whole = written(drive, tmp_path / "still.log", *STILL), written(drive, tmp_path / "whole.log")
     shown, told = analysed(log, "--json"), analysed(whole, "--json")
-    assert "GE_Wellen.GE_Eingang is 0 throughout: taken as absent (input shaft speed; " in shown.err
-    assert "GE_Gang.GE_Ist is 0 throughout: taken as absent (current gear; " in shown.err
+    assert "GE_Wellen.GE_Eingangsdrehzahl is 0 throughout: taken as absent (input shaft speed; " in shown.err
+    assert "GE_Gang.GE_Gang_Ist is 0 throughout: taken as absent (current gear; " in shown.err
     assert "absent" not in told.err
     capability, before = shown.summary["capability"], told.summary["capability"]
     assert (capability["tier"], before["tier"]) == (3, 2)
@@ -82,6 +82,21 @@ def test_python_and_the_report_say_the_same(drive: Drive, tmp_path: Path) -> Non
     assert (shown.status, shown.err.count("taken as absent")) == (0, 2)
 
 
+def test_signals_tells_it_and_proposes_a_profile_without_them(drive: Drive, tmp_path: Path) -> None:
+    log, profile = written(drive, tmp_path / "still.log", *STILL), tmp_path / "car.toml"
+    text = ended("signals", log, "--dbc", DBC).out
+    profile.write_text(text, encoding="utf-8")
+    assert "# As it stands it reaches tier 3" in text
+    assert "# GE_Wellen.GE_Eingangsdrehzahl is 0 throughout: taken as absent (input shaft speed; " in text
+    assert "# GE_Gang.GE_Gang_Ist is 0 throughout: taken as absent (current gear; " in text
+    sources = load_profile(profile).sources
+    assert not sources.keys() & set(STILL)
+    assert sources[Signal.TARGET_GEAR].place == "GE_Gang.GE_Zielgang"
+    whole = ended("signals", written(drive, tmp_path / "whole.log"), "--dbc", DBC).out
+    assert "absent" not in whole
+    assert "# As it stands it reaches tier 2" in whole
+
+
 def test_nothing_is_absent_in_a_standing_car(drive: Drive, tmp_path: Path) -> None:
     speeds = (Signal.INPUT_SPEED, Signal.OUTPUT_SPEED, Signal.VEHICLE_SPEED)
     standing = written(drive, tmp_path / "standing.log", *speeds, Signal.CURRENT_GEAR, Signal.TARGET_GEAR)
@@ -105,7 +120,7 @@ def test_gears_may_stand_still_in_a_drive_in_one_gear(drive: Drive, tmp_path: Pa
     assert "absent" not in analysed(written(one_gear, tmp_path / "one.log")).err
     shown = analysed(written(one_gear, tmp_path / "still.log", Signal.INPUT_SPEED), "--json")
     assert shown.err.count("taken as absent") == 1
-    assert "GE_Eingang is 0 throughout" in shown.err
+    assert "GE_Eingangsdrehzahl is 0 throughout" in shown.err
 
 
 def test_a_log_that_another_profile_reads_better_says_which(tmp_path: Path) -> None:

@@ -182,7 +182,7 @@ def test_a_short_moment_of_difference_decides_nothing() -> None:
     other[300:320] += 50.0
     columns[Signal.TURBINE_SPEED].insert(0, ("once", other))
     chosen, contests = held(columns)
-    assert (chosen[Signal.TURBINE_SPEED], contests[Signal.TURBINE_SPEED].sureness) == ("once", Sureness.EQUAL)
+    assert (chosen[Signal.TURBINE_SPEED], contests[Signal.TURBINE_SPEED].sureness) == ("once", Sureness.TOO_LITTLE)
 
 
 def test_a_thinned_signal_has_one_sample_a_cell_and_pieces_come_in_order() -> None:

@@ -63,13 +63,16 @@ def test_it_is_absent_after_three_changes_and_read_again_when_it_moves() -> None
     stages.judge_liveness(said.append)
     events = fed(stages, frames(STILL))
     assert stages.decoder.absent == STILL
-    assert [text.split(" is ")[0] for text in said] == ["GE_Wellen.GE_Eingang", "GE_Gang.GE_Ist"]
+    assert [text.split(" is ")[0] for text in said] == ["GE_Wellen.GE_Eingangsdrehzahl", "GE_Gang.GE_Gang_Ist"]
     assert stages.capability().tier is not Tier.TORQUE
     assert 3 <= len(events) < 10  # the first three are what the gears are missed by
     assert [event.number for event in events] == [*range(1, len(events) + 1)]
     more = [*fed(stages, frames(frozenset(), CYCLE_NS)), *stages.flush()]
     assert stages.decoder.absent == frozenset()
-    assert said[2:] == ["GE_Gang.GE_Ist moves: it is read again", "GE_Wellen.GE_Eingang moves: it is read again"]
+    assert said[2:] == [
+        "GE_Gang.GE_Gang_Ist moves: it is read again",
+        "GE_Wellen.GE_Eingangsdrehzahl moves: it is read again",
+    ]
     assert stages.reach.tier is Tier.TORQUE
     assert len(more) >= 10
     numbers = [event.number for event in (*events, *more)]
