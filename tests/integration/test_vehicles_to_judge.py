@@ -76,7 +76,7 @@ EXPECTED = {
         tier=3,
         tells="shift time and slip",
         missing="torque capacity needs input shaft speed",
-        remark="TCU11.N_TC (input shaft speed) is 0 rpm throughout",
+        remark="TCU11.N_TC is 0 throughout: taken as absent",
     ),
     "vw/drive.log": Expected(
         kind="frames of vw.dbc, profile vw_mqb", tier=2, tells="torque capacity", remark="vw_mqbevo would read the same"
