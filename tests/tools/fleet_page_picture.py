@@ -44,7 +44,7 @@ DISTANCE_M = 2.6e5  # between two results
 DAYS = 0.72
 WIDTH, COLOURS = 1200, 160
 PAGES = {
-    "fleet-page.png": ("/", 900),
+    "fleet-page.png": ("/", 1150),
     "page.png": (f"/vehicles/{SHOWN}", 980),
     "maintenance.png": ("/maintenance", 900),
 }
