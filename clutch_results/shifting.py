@@ -422,7 +422,7 @@ def percent_words(measure: Measure, change: ShiftingChange) -> str:
     return f"{'+' if change.change > 0.0 else '-'}{_amount(measure, change)}"
 
 
-def change_cell(summary: ShiftingSummary, value: ShiftingValue | None) -> str:
+def change_cell(summary: ShiftingSummary, value: ShiftingValue | OverallChange | None) -> str:
     """Return the newest change of a value as a cell of a table; `CHANGE_LEGEND` says how to read it."""
     change = None if value is None else newest_change(summary, value)
     if value is None or change is None:

@@ -23,7 +23,9 @@ if typing.TYPE_CHECKING:
     from diag_service.api.learning import learn, predict
     from diag_service.api.live import BackgroundDiagnosis, LiveDiagnosis, diagnose
     from diag_service.api.logs import decode, inspect, propose_profile, read
+    from diag_service.api.reaches import survey_logs
     from diag_service.api.stores import history, note_fluid, stored_shift, write_report
+    from diag_service.batch.log_reach import LogReach
     from diag_service.errors import (
         ConfigError,
         ControllerError,
@@ -52,6 +54,7 @@ __all__ = [
     "FolderAnalysis",
     "IncompleteError",
     "LiveDiagnosis",
+    "LogReach",
     "OutputError",
     "PaperAnalysis",
     "Poll",
@@ -84,6 +87,7 @@ __all__ = [
     "propose_profile",
     "read",
     "stored_shift",
+    "survey_logs",
     "write_report",
 ]
 

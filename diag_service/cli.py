@@ -25,6 +25,7 @@ from diag_service.commands.options import (
     output_option,
     poll_options,
     profile_option,
+    setting,
     working,
 )
 from diag_service.errors import ConfigError, ControllerError, IncompleteError, StoppedError, StoreError
@@ -82,6 +83,11 @@ def _end_early(exc: Exception, stop: Trigger, *, is_usual: bool) -> int:
 
 
 _json_lines_option = click.option("--json", is_flag=True, help="JSON lines on standard output, text on standard error")
+_vehicle_from_option = click.option(
+    "--vehicle-from",
+    type=click.Choice(["path"]),
+    help="path: in a folder, a log is of the vehicle by which the folder below is called (FOLDER/VEHICLE/...)",
+)
 _match_option = click.option(
     "--match",
     metavar="BY",
@@ -208,11 +214,7 @@ def check(_controls: Controls, **words: Any) -> None:
 @output_option("write the results to a .jsonl, .csv or .parquet file, too")
 @force_option
 @click.option("--jobs", type=int, help="drives of folders at a time (default: one per core)")
-@click.option(
-    "--vehicle-from",
-    type=click.Choice(["path"]),
-    help="path: in a folder, a log is of the vehicle by which the folder below is called (FOLDER/VEHICLE/...)",
-)
+@_vehicle_from_option
 @together(_lake_options, meaning_options, config_option, delivery_options, _columns_option, _json_lines_option)
 @working
 def analyze(controls: Controls, **words: Any) -> None:
@@ -353,15 +355,37 @@ def inspect(controls: Controls, **words: Any) -> None:
     inspect(InspectOptions(**words), controls)
 
 
-@command_line.command(epilog=examples(f"{PROGRAM} signals drive.blf --dbc car.dbc >car-profile.toml"))
-@click.argument("log", type=FILE, metavar="LOG", help="log file; - is standard input")
-@together(dbc_option, _columns_option)
+@command_line.command(
+    epilog=examples(
+        f"{PROGRAM} signals drive.blf --dbc car.dbc >car-profile.toml",
+        f"{PROGRAM} signals recordings --dbc hyundai.dbc --dbc vw.dbc",
+        f"{PROGRAM} signals recordings --vehicle-from path --csv >vehicles.csv",
+    )
+)
+@logs_argument("log file, - is standard input; of a folder, or of several logs, a row for each")
+@setting(
+    "--dbc",
+    metavar="FILE[#BUS]",
+    type=FILE,
+    multiple=True,
+    help="message database: DBC, KCD, ARXML or SYM (default: the shipped ones); of rows several, of which each log "
+    "takes the one that fits",
+)
+@_vehicle_from_option
+@click.option("--jobs", type=int, help="logs at a time, of rows (default: one per core)")
+@click.option("--csv", is_flag=True, help="the rows as CSV on standard output")
+@together(_columns_option, _json_lines_option)
 @working
 def signals(controls: Controls, **words: Any) -> None:
-    """List the signals in a log and propose a profile."""
-    from diag_service.commands.inspect import propose
+    """List the signals in a log and propose a profile; of a folder, show what each log can tell.
 
-    propose(controls, **words)
+    A row has what kind of file it is, its tier, what that tells, what is missing for the next better one, and what to
+    do next. What counts is what came on the bus, not what a profile names. A file that cannot be read is a row, too.
+    """
+    from diag_service.commands.inspect import signals
+    from diag_service.settings.options import SignalsOptions
+
+    signals(SignalsOptions(**words), controls)
 
 
 @command_line.command(

@@ -87,7 +87,7 @@ def find_drives(
             first = f", for one {others[0].path.name}: {others[0].reason}" if others else ""
             raise ConfigError(f"{folder} holds no log that can be read{first}")
         left_out += others
-        drives += [drive_of([log.path], _vehicle_of(log.path, folder) if has_vehicles else None) for log in logs]
+        drives += [drive_of([log.path], vehicle_by_folder(log.path, folder) if has_vehicles else None) for log in logs]
     counts = Counter(path.resolve() for drive in drives for path in drive.paths)
     if twice := sorted(str(path) for path, count in counts.items() if count > 1):
         raise ConfigError(f"named twice: {', '.join(twice)}")
@@ -109,7 +109,7 @@ def drive_of(paths: Iterable[Path], vehicle: str | None = None) -> DriveLogs:
     )
 
 
-def _vehicle_of(log: Path, folder: Path) -> str:
+def vehicle_by_folder(log: Path, folder: Path) -> str:
     """Return the vehicle that the folders of a log speak of; raises ConfigError if that is no name for one."""
     below = log.relative_to(folder).parts[:-1]
     try:

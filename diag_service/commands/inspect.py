@@ -4,7 +4,9 @@ import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from canlog.files import is_folder
 from canlog.frames import EXTENDED_FLAG
+from canlog.logs import STANDARD_INPUT
 from canlog.logs.log_counts import assumed_texts, lost_texts
 from canlog.traffic import MAX_IDS, NS_PER_S, IdTraffic, TrafficReport
 from clutch_results.records import dump, utc_from_bus_ns
@@ -13,8 +15,8 @@ from clutchdiag_io.people import SHORT_PLUS_MINUS, STDS, digits
 from diag_service.api.logs import FolderContent, Inspection, LinkErrors, TableValues, inspect_logs, profile_for
 from diag_service.batch.drives import LeftOut, left_out_record
 from diag_service.console import ReadingLine
-from diag_service.errors import StoppedError
-from diag_service.settings.options import InspectOptions
+from diag_service.errors import ConfigError, StoppedError
+from diag_service.settings.options import InspectOptions, SignalsOptions
 from diag_service.stopping import Controls
 
 MS_PER_S = 1e3
@@ -159,8 +161,17 @@ def _protection_lines(links: dict[str, LinkErrors]) -> Sequence[str]:
     return lines
 
 
-def propose(controls: Controls, log: Path, dbc: Path | None, columns: str) -> None:
-    """Survey a log and write a profile whose comments say what there is."""
+def signals(options: SignalsOptions, controls: Controls) -> None:
+    """Write a profile for a log whose comments say what there is; of a folder or several logs what each can tell."""
+    path, *others = options.logs
+    as_rows = bool(others) or options.json or options.csv or options.vehicle_from is not None
+    if as_rows or (path != STANDARD_INPUT and is_folder(path)):
+        from diag_service.commands.reaches import show  # noqa: PLC0415 - one log needs none of it
+
+        show(options, controls)
+        return
+    if len(options.dbc) > 1:
+        raise ConfigError("a profile is proposed for one log and one database: name one, or a folder of logs")
     with ReadingLine() as line:
-        text = profile_for(log, dbc, columns, controls, line)
+        text = profile_for(path, next(iter(options.dbc), None), options.columns, controls, line)
     sys.stdout.write(text)

@@ -90,17 +90,44 @@ def interpret(dbc: Path | None, profile: Path | Profile | None) -> Interpretatio
     if named.is_of_columns and dbc is None:
         database = columns_database(named.columns)
         return Interpretation(database=database, profile=named, files=_files(None, named, profile))
-    database = open_database(dbc or named.database)
-    if named.asked:
-        names = {field.name for field in named.asked.values()}
-        asked = columns_database(column for column in named.columns if column.name in names).messages
-        database = Database(messages=[*database.messages, *asked], dbc_specifics=database.dbc, strict=False)
+    database = with_asked(open_database(dbc or named.database), named)
     if named.is_lenient:
         fit = fit_of(database, named)
         if fit.tier is None and not named.is_of_columns:  # what is asked for may need a vehicle file's gears
             raise ConfigError(f"profile {named.name} does not fit the database: {'; '.join(fit.problems)}")
         _LOG.log(NOTICE, "%s", fit.text)
     return Interpretation(database=database, profile=named, files=_files(dbc, named, profile))
+
+
+def with_asked(database: Database, profile: Profile) -> Database:
+    """Return a database with what a profile asks for as messages of its own."""
+    if not profile.asked:
+        return database
+    names = {field.name for field in profile.asked.values()}
+    asked = columns_database(column for column in profile.columns if column.name in names).messages
+    return Database(messages=[*database.messages, *asked], dbc_specifics=database.dbc, strict=False)
+
+
+def shipped_meanings(dbcs: Iterable[Path]) -> tuple[Interpretation, ...]:
+    """Return every shipped profile with each database that it can read: its own one first, then those of the user.
+
+    A profile that finds no shifts in a database is left out, unless what it needs is asked for. Raises DefinitionError
+    if a database cannot be read.
+    """
+    databases = {dbc: open_database(dbc) for dbc in dict.fromkeys(dbcs)}
+    meanings, known = list[Interpretation](), list[tuple[Path | None, Database]]()
+    for profile in map(load_shipped, shipped_profiles()):
+        if profile.is_of_columns:  # what it needs is asked for
+            meanings.append(Interpretation(database=columns_database(profile.columns), profile=profile, files=()))
+            known = [*databases.items()]
+        else:
+            known = [(None, open_database(profile.database)), *databases.items()]
+        meanings += [
+            Interpretation(database=with_asked(database, profile), profile=profile, files=() if dbc is None else (dbc,))
+            for dbc, database in known
+            if fit_of(database, profile).tier is not None
+        ]
+    return tuple(meanings)
 
 
 def _files(dbc: Path | None, profile: Profile, named: Path | Profile | None) -> tuple[Path, ...]:

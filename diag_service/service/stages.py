@@ -4,6 +4,7 @@
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field, replace
 from typing import ClassVar, Final, Protocol
 
@@ -12,7 +13,7 @@ from clutch_model.calibration import Calibration, TorqueSource
 from clutch_results.event_kinds import DATED_NS
 from clutch_results.records import ClutchVerdict, Reason, ShiftEstimate, Status, Tier
 from diag_service.diagnosis.capability import Capability
-from diag_service.diagnosis.columns import ColumnBatch, Signal
+from diag_service.diagnosis.columns import ColumnBatch, GearRatios, Signal
 from diag_service.diagnosis.condition.causes import CauseJudge
 from diag_service.diagnosis.condition.condition import (
     ConditionMemory,
@@ -124,10 +125,17 @@ class SignalReach:
 
     @classmethod
     def of(cls, decoder: Decoder, calibration: Calibration) -> "SignalReach":
-        signals, torque = decoder.signals, calibration.torque
+        return cls.of_signals(decoder.signals, decoder.gears, calibration)
+
+    @classmethod
+    def of_signals(
+        cls, signals: AbstractSet[Signal], gears: GearRatios | None, calibration: Calibration
+    ) -> "SignalReach":
+        """Return what some signals suffice for; ``gears`` of the profile, where no signal tells them."""
+        torque = calibration.torque
         known = signals - {Signal.ENGINE_TORQUE} if torque is TorqueSource.UNKNOWN else signals
         # The gear can be told from the ratio of two speeds, where the bus has both.
-        knows_gears = decoder.gears is not None and signals >= {Signal.ENGINE_SPEED, decoder.gears.over}
+        knows_gears = gears is not None and signals >= {Signal.ENGINE_SPEED, gears.over}
         asked = {"knows_gears": knows_gears, "has_converter": calibration.converter is not None}
         tier, missing = tier_of(known, **asked), why_no_friction(known, torque, **asked)
         lacks_torque = torque is not TorqueSource.MEASURED or Signal.ENGINE_TORQUE not in signals

@@ -189,6 +189,19 @@ class InspectOptions:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class SignalsOptions:
+    """Of which logs a profile is proposed, or told what they reach."""
+
+    logs: tuple[Path, ...]
+    dbc: tuple[Path, ...] = ()
+    columns: str = ""
+    jobs: int | None = None
+    vehicle_from: str | None = None
+    json: bool = False
+    csv: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class DecodeOptions:
     """What of which logs becomes which tables."""
 

@@ -60,6 +60,7 @@ def _workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with what the documents suppose to be there: a database, logs, a table."""
     folder = tmp_path_factory.mktemp("documents")
     shutil.copy(ROOT / "dbc" / "dct.dbc", folder / "car.dbc")
+    shutil.copy(ROOT / "dbc" / "lockup.dbc", folder / "van.dbc")
     (folder / "logs").mkdir()
     for name, seed in (("monday.log", 1), ("tuesday.blf", 2), ("logs/one.log", 3)):
         drive = ["record", str(folder / name), "--scenario", "noise_only", "--cycles", "1", "--seed", str(seed)]

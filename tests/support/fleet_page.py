@@ -76,6 +76,7 @@ def clutch_now(vehicle: str = "car1", clutch: int = 1, **others: object) -> Clut
         seq=1,
         algorithm_version="algorithm-1",
         calibration_version="nominal-1",
+        tier=1,
     )
     return replace(usual, **others)  # type: ignore[arg-type]  # names of fields, as the caller spells them
 

@@ -9,7 +9,7 @@ import numpy as np
 from clutch_results.event_kinds import EventKind, ShiftIndices, ShiftParts, ShiftQuality
 from clutch_results.records import Condition, Reason, ShiftResult, Status, Tier
 from diag_service.diagnosis.condition.condition import no_verdict
-from diag_service.diagnosis.condition.verdict import Silence
+from diag_service.diagnosis.condition.thresholds import Silence
 from tests.support.builders import at, shift_result
 
 FIRST_AT = datetime(2026, 3, 4, 8, 0, tzinfo=UTC)

@@ -28,6 +28,7 @@ from tests.support.builders import at, friction_estimate
 from tests.support.fleet import row_of
 from tests.support.fleet_page import served
 from tests.support.histories import CALIBRATION, history
+from tests.support.shiftings import scattered
 
 START = datetime(2026, 3, 1, 7, tzinfo=UTC)
 RESULTS = 240
@@ -44,7 +45,7 @@ DISTANCE_M = 2.6e5  # between two results
 DAYS = 0.72
 WIDTH, COLOURS = 1200, 160
 PAGES = {
-    "fleet-page.png": ("/", 900),
+    "fleet-page.png": ("/", 1150),
     "page.png": (f"/vehicles/{SHOWN}", 980),
     "maintenance.png": ("/maintenance", 900),
 }
@@ -116,6 +117,8 @@ def fill(database: str) -> None:
         results = history(RESULTS, vehicle=vehicle, stream=f"stream-{number}")
         Writer(engine).store(Batch(shifts=[aged(one, loss, number, rng) for one in results]))
         queries.note_fill(engine, vehicle, "DCTF 75W", at=START, odometer_m=3.1e7 + 7e6 * number, note=None)
+    untold = scattered(rng, [0, 30, 60, 90, 120], 30, growth=0.3, among=0.01)  # of a car without pressures
+    Writer(engine).store(Batch(shifts=[row_of(replace(one, vehicle="sedan-7")) for one in untold]))
     engine.dispose()
 
 

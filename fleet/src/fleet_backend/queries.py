@@ -50,7 +50,7 @@ Row = Mapping[str, Any] | RowMapping
 # Columns that hold for a clutch whose fluid was changed since; all others are of the earlier fluid.
 _KEPT: Final = frozenset({
     *("place", "vehicle", "clutch", "end_at", "happened_at", "stored_at", "odometer_m", "stream", "seq"),
-    *("algorithm_version", "calibration_version"),
+    *("algorithm_version", "calibration_version", "tier"),
 })  # fmt: skip
 PresentFluid = tuple[datetime, str]  # since when which fluid is in
 
@@ -162,7 +162,7 @@ FLEET_WORST_FIRST: Final = _view(
     *_FRICTION,
     *("mu_c_low", "mu_c_high", "mu_s_low", "mu_s_high", "slope_s_rad", "slope_low_s_rad", "slope_high_s_rad"),
     *("probability_negative_slope", "odometer_m", "end_at", "happened_at", "fluid", "fluid_since", "stream", "seq"),
-    *("algorithm_version", "calibration_version"),
+    *("algorithm_version", "calibration_version", "tier"),
 )
 
 CLUTCH_TREND: Final = _view(

@@ -32,6 +32,7 @@ def fleet_table(records: Sequence[Record]) -> Table:
         {
             "vehicle": _plain("vehicle"),
             "clutch": lambda record: str(record["element"] or record["clutch"]),
+            "tier": _plain("tier"),
             "condition": _condition,
             "slope": _interval("slope_s_rad", "slope_high_s_rad", "{:+.3f}", scale=PER_1000_RPM),
             "P<0": _number("probability_negative_slope", "{:.3f}"),

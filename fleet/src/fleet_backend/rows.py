@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import msgspec
 
-from fleet_backend.schema import FRICTION_COLUMNS, RUNNING, SCALE_FREE, SCALE_FREE_COLUMNS
+from fleet_backend.schema import FRICTION_COLUMNS, FRICTION_TIER, RUNNING, SCALE_FREE, SCALE_FREE_COLUMNS
 
 _NUMBER: Final = re.compile(r"[0-9]+")
 _BETWEEN: Final = "\x1f"  # the unit separator, below every printable character
@@ -101,8 +101,17 @@ def shift_row(data: Data) -> Row:
     row["running_since_bus_ns"] = verdict.get("running_since_bus_ns")
     causes = verdict.get("causes")
     row["causes"] = None if causes is None else _JSON.encode(_foremost(causes)).decode()
+    row["tier"], row["indices"] = data.get("tier"), _indices(data)
     row["content_digest"] = content_digest(row)
     return row
+
+
+def _indices(data: Data) -> str | None:
+    """Return the numbers that speeds and torques tell of an event; None where its signals tell friction."""
+    indices = data.get("indices")
+    if indices is None or data.get("tier", FRICTION_TIER) == FRICTION_TIER:
+        return None
+    return _JSON.encode({name: value for name, value in indices.items() if isinstance(value, int | float)}).decode()
 
 
 def _foremost(causes: Data) -> Row:

@@ -39,6 +39,7 @@ FRICTION_COLUMNS: Final = (
     "std_slope_s_rad",
     "probability_negative_slope",
 )
+FRICTION_TIER: Final = 1  # of a vehicle whose signals suffice for friction; a larger one is less
 RUNNING: Final = "running_"  # prefix of what is said of the running estimate after the shift
 SCALE_FREE_COLUMNS: Final = ("mu_c", "mu_s", "std_mu_c", "std_mu_s", "correlation")
 SCALE_FREE: Final = "scale_free_"  # prefix of what driving alone tells, gain and area left out
@@ -150,6 +151,8 @@ SHIFT_RESULT: Final = Table(
     Column("element", Text),  # name of the clutch
     Column("causes", Text),  # JSON object: why the vehicle is as it is, the likeliest causes alone
     Column("running_since_bus_ns", BigInteger),  # start of the first event in the running estimate, of another drive
+    Column("tier", SmallInteger),  # what the vehicle's signals suffice for, 1 is friction; null: of an older schema
+    Column("indices", Text),  # JSON object: what speeds and torques tell of the event, where they do not tell friction
     # In PostgreSQL clutch_stream has it: once for a stream, in place of once for each result.
     ForeignKeyConstraint(["vehicle", "clutch"], ["clutch.vehicle", "clutch.clutch"]).ddl_if(dialect="sqlite"),
     Index("shift_by_time", "vehicle", "clutch", "produced_at", "stream"),
@@ -230,6 +233,6 @@ RANK_INDEX: Final = Index(
 # What two contents of one result may differ in: it is not in the digest, which must stay what it was.
 UNHASHED_COLUMNS: Final = frozenset({
     *("stored_at", "content_digest", "version_rank", "kind", "end_reason", "advice", "trust", "trust_parts"),
-    *("shift_quality", "element", "causes", "running_since_bus_ns"),
+    *("shift_quality", "element", "causes", "running_since_bus_ns", "tier", "indices"),
     *(SCALE_FREE + name for name in SCALE_FREE_COLUMNS),
 })  # fmt: skip

@@ -52,7 +52,7 @@ RUNNING_COLUMNS: Final = """
   s.running_mu_c AS mu_c, s.running_mu_s AS mu_s, s.running_std_mu_c AS std_mu_c, s.running_std_mu_s AS std_mu_s,
   s.running_correlation AS correlation, s.running_slope_s_rad AS slope_s_rad,
   s.running_std_slope_s_rad AS std_slope_s_rad, s.running_probability_negative_slope AS probability_negative_slope,
-  s.odometer_m, s.end_at, s.produced_at, s.stream, s.seq, s.algorithm_version, s.calibration_version
+  s.odometer_m, s.end_at, s.produced_at, s.stream, s.seq, s.algorithm_version, s.calibration_version, s.tier
 """
 _RUNNING_CONDITION: Final = f"""
 CREATE VIEW running_condition AS
@@ -95,7 +95,8 @@ CROSS JOIN LATERAL (
 _FLEET: Final = """
 CREATE VIEW fleet_worst_first AS
 SELECT row_number() OVER (
-  ORDER BY w.severity DESC, coalesce(w.probability_negative_slope, 0.0) DESC, coalesce(w.level_ratio, 9.0),
+  ORDER BY w.severity DESC, CASE w.severity WHEN 0 THEN coalesce(w.tier, 1) ELSE 1 END,
+  coalesce(w.probability_negative_slope, 0.0) DESC, coalesce(w.level_ratio, 9.0),
   w.vehicle, w.clutch
 ) AS place, w.*
 FROM (

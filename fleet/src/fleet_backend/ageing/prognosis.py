@@ -33,13 +33,14 @@ from clutch_results.records import (
     ShiftEstimate,
     ShiftResult,
     Status,
+    Tier,
     from_plain,
     iso_utc,
 )
 from clutchdiag_io.people import is_dated
 from fleet_backend.ageing.calibrations import reference_of, type_of
 from fleet_backend.ageing.records import ClutchNow, Due, Fill
-from fleet_backend.ageing.results import fills_of, friction_in, in_order, quality_in, results_of, words_in
+from fleet_backend.ageing.results import fills_of, friction_in, in_order, indices_in, quality_in, results_of, words_in
 from fleet_backend.queries import Row, distances_of
 from fleet_backend.schema import RUNNING, SCALE_FREE, SCALE_FREE_COLUMNS
 from fleet_contract.orders import Action
@@ -49,11 +50,13 @@ LOOKED_BACK: Final = timedelta(days=90)  # over which it is counted how much a v
 LEAST: Final = timedelta(days=1)
 _HORIZON: Final = timedelta(days=3653)
 _KINDS: Final = frozenset(EventKind)
+_TIERS: Final = frozenset(Tier)
 _SAME_IN_ROWS: Final = ("number", "from_gear", "to_gear", "clutch")  # of an estimate
 NO_PROGNOSIS: Final = (
     "No prognosis: its service has not told what calibration these results are of, or their numbers are of no clutch."
 )
 NOT_YET: Final = "Not foretold yet: fleet-backend watch does so."
+UNTOLD_OUTLOOK: Final = "Nothing is foretold of it."
 _NOTHING: Final = dict.fromkeys(("half_by", "most_by", "distance_a_day_m", "least_left_m")) | {"outlook": NOT_YET}
 # What calculations raise of numbers that keep the contract and are of no clutch; a LinAlgError is a ValueError.
 BEYOND_NUMBERS: Final = (ArithmeticError, ValueError)
@@ -73,6 +76,8 @@ def estimate_of(row: Row) -> ShiftEstimate:
         scale_free=_scale_free(row),
         kind=EventKind(row["kind"]) if row["kind"] in _KINDS else EventKind.SHIFT,  # newer programs may know more
         shift_quality=quality_in(row),
+        tier=Tier(row["tier"]) if row["tier"] in _TIERS else Tier.FRICTION,
+        indices=indices_in(row),
     )
 
 
@@ -96,8 +101,8 @@ def _friction(row: Row, prefix: str) -> FrictionEstimate | None:
     return None if friction is None else FrictionEstimate(**friction)
 
 
-def _result_of(row: Row, estimate: ShiftEstimate) -> ShiftResult:
-    """Return a row as the service had it, as far as the fan chart asks for it."""
+def result_in(row: Row, estimate: ShiftEstimate) -> ShiftResult:
+    """Return a row as the service had it, as far as charts and tables of shifting ask for it."""
     verdict = ClutchVerdict(
         clutch=row["clutch"],
         condition=Condition[row["condition"].upper()],
@@ -254,7 +259,7 @@ def fan_of_vehicle(
         return None
     try:
         return fan_of(
-            [_result_of(row, estimates[id(row)]) for row in in_order(rows)],
+            [result_in(row, estimates[id(row)]) for row in in_order(rows)],
             [fluid_fill(now.vehicle, fill) for fill in fills],
             [curve for curve in new if curve is not None],
             [past.prognosis for past in pasts if past.prognosis is not None],
@@ -285,7 +290,8 @@ def foretold(clutches: Sequence[ClutchNow], pasts: Sequence[ClutchPast]) -> list
     prognoses = [past.prognosis for past in pasts]
     known = [prognosis for prognosis in prognoses if prognosis is not None]
     reach = soonest(known)
-    if clutches[0].action == Action.FIND_CAUSE:
+    tells_friction = all(now.tells_friction for now in clutches)
+    if clutches[0].action == Action.FIND_CAUSE or not tells_friction:
         reach = None
     quantiles = (None, None, None) if reach is None else (reach.p10_m, reach.p50_m, reach.p90_m)
     rows = list[Row]()
@@ -302,8 +308,8 @@ def foretold(clutches: Sequence[ClutchNow], pasts: Sequence[ClutchPast]) -> list
                 "half_by": half_by,
                 "most_by": most_by,
                 "distance_a_day_m": a_day_m,
-                "least_left_m": least_left_m(known, Action(now.action)),
-                "outlook": outlook_text(prognoses, now),
+                "least_left_m": least_left_m(known, Action(now.action)) if tells_friction else None,
+                "outlook": outlook_text(prognoses, now) if tells_friction else UNTOLD_OUTLOOK,
             }
         )
     return rows

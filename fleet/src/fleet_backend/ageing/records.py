@@ -4,6 +4,8 @@ from dataclasses import dataclass
 from datetime import date, datetime
 from enum import StrEnum
 
+from fleet_backend.schema import FRICTION_TIER
+
 
 class Severity(StrEnum):
     """Verdicts as the database writes them."""
@@ -46,6 +48,13 @@ class ClutchNow:
     seq: int
     algorithm_version: str
     calibration_version: str
+    tier: int | None  # what its signals suffice for, 1 is friction; None: of an older program
+    shifting: str | None = None  # how the vehicle shifts, in a sentence, where it cannot tell friction
+
+    @property
+    def tells_friction(self) -> bool:
+        """Whether its signals suffice for friction; of older programs nobody knows, and it is taken as so."""
+        return self.tier is None or self.tier == FRICTION_TIER
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

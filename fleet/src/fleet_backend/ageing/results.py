@@ -23,8 +23,8 @@ from sqlalchemy import (
     tuple_,
 )
 
-from clutch_results.event_kinds import ShiftQuality
-from clutch_results.records import Causes, quality_from, quality_record
+from clutch_results.event_kinds import ShiftIndices, ShiftQuality
+from clutch_results.records import Causes, from_plain, quality_from, quality_record
 from fleet_backend import schema
 from fleet_backend.ageing.calibrations import remember
 from fleet_backend.ageing.records import Fill
@@ -63,7 +63,7 @@ _TREND_COLUMNS: Final = (
     *("condition", "algorithm_version", "calibration_version", *schema.FRICTION_COLUMNS),
     *(schema.RUNNING + name for name in schema.FRICTION_COLUMNS),
     *(schema.SCALE_FREE + name for name in schema.SCALE_FREE_COLUMNS),
-    *("shift_quality", "running_since_bus_ns", "element"),
+    *("shift_quality", "running_since_bus_ns", "element", "tier", "indices"),
 )
 _UNKNOWN: Final = {  # of a clutch of whose fluid nothing is known
     "condition": NO_VERDICT,
@@ -192,6 +192,7 @@ def shift_of(engine: Engine, vehicle: str, stream: str, seq: int) -> dict[str, A
         "trust_parts": None if row["trust_parts"] is None else json.loads(row["trust_parts"]),
         "shift_quality": None if (quality := quality_in(row)) is None else quality_record(quality),
         "causes": _read(row["causes"], _CAUSES.decode),
+        "indices": _read(row["indices"], json.loads),
         "older_versions": [f"{row['algorithm_version']}, {row['calibration_version']}" for row in older],
     }
 
@@ -207,6 +208,11 @@ def friction_in(row: Row, prefix: str) -> dict[str, float] | None:
 def quality_in(row: Row) -> ShiftQuality | None:
     """Return how well the event in a row went, if that is known."""
     return _read(row["shift_quality"], lambda text: quality_from(msgspec.json.decode(text)))
+
+
+def indices_in(row: Row) -> ShiftIndices | None:
+    """Return what speeds and torques tell of the event in a row; None where it is kept what friction they tell."""
+    return _read(row["indices"], lambda text: from_plain(msgspec.json.decode(text), ShiftIndices))
 
 
 def _read(text: str | None, read: Callable[[str], RecordT]) -> RecordT | None:

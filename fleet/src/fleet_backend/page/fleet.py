@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 import logging
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, date, datetime, timedelta
@@ -21,9 +21,11 @@ from fleet_backend.ageing.peers import latest_population
 from fleet_backend.ageing.prognosis import days_of, foretold_now
 from fleet_backend.ageing.records import ClutchNow, Severity
 from fleet_backend.ageing.results import levels_of
+from fleet_backend.ageing.shifting import NOT_YET, words_of
 from fleet_backend.errors import DatabaseError
 from fleet_backend.page.queries import DatabaseSource
 from fleet_backend.queries import PresentFluid, Row
+from fleet_backend.schema import FRICTION_TIER
 from fleet_contract.orders import Action
 
 PERIOD_S: Final = 2.0
@@ -36,16 +38,21 @@ SILENT_AFTER: Final = timedelta(days=14)
 AHEAD_S: Final = 0.5  # at a time
 SEVERITY: Final[Mapping[str, int]] = {severity: place for place, severity in enumerate(Severity)}  # 0: the worst
 WEEKS: Final = 8  # of the calendar, besides what is due now
+MOST_WANTED: Final = 200  # vehicles of which a reader waits for how they shift: four parts of a list
 _NO_LEVEL: Final = 9.0  # of the view fleet_worst_first
 ByVehicle = Mapping[str, tuple[ClutchNow, ...]]
 _NEVER: Final = datetime.min.replace(tzinfo=UTC)
 _LOG: Final = logging.getLogger(__name__)
 
 
-def place_of(now: ClutchNow) -> tuple[int, float, float, str, int]:
-    """Return where a clutch stands in the fleet, as in the view fleet_worst_first: the smaller the worse."""
+def place_of(now: ClutchNow) -> tuple[int, int, float, float, str, int]:
+    """Return where a clutch stands in the fleet, as in the view fleet_worst_first: the smaller the worse.
+
+    Behind all that are judged are those that will be, then those whose signals do not suffice.
+    """
     falling = now.probability_negative_slope or 0.0
-    return SEVERITY[now.condition], -falling, now.level_ratio or _NO_LEVEL, now.vehicle, now.clutch
+    tier = FRICTION_TIER if now.condition != Severity.NO_VERDICT else now.tier or FRICTION_TIER
+    return SEVERITY[now.condition], tier, -falling, now.level_ratio or _NO_LEVEL, now.vehicle, now.clutch
 
 
 def vehicle_type(now: ClutchNow) -> str:
@@ -53,10 +60,10 @@ def vehicle_type(now: ClutchNow) -> str:
 
 
 def worse_clutch(clutches: Sequence[ClutchNow]) -> ClutchNow:
-    """Return a vehicle as its worse clutch; distance, fluid and last event are the vehicle's."""
+    """Return a vehicle as its worse clutch; distance, fluid, last event and tier are the vehicle's."""
     worst, last = min(clutches, key=place_of), max(clutches, key=lambda now: now.end_at)
     furthest_m = max((now.odometer_m for now in clutches if now.odometer_m is not None), default=None)
-    return replace(worst, odometer_m=furthest_m, fluid=last.fluid, end_at=last.end_at)
+    return replace(worst, odometer_m=furthest_m, fluid=last.fluid, end_at=last.end_at, tier=last.tier)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,6 +81,7 @@ class FleetSnapshot:
     alarmed: frozenset[str] = frozenset()  # vehicles with an open alarm
     due: frozenset[str] = frozenset()  # those whose fluid is due within a month
     silent: frozenset[str] = frozenset()  # those of which no result came for long
+    untold: frozenset[str] = frozenset()  # those whose signals do not suffice for friction
     drawn: dict[object, Any] = field(init=False, default_factory=dict)  # answers made of it, by what was asked
 
 
@@ -95,6 +103,9 @@ class Keeper:
         self._calendar: tuple[tuple[object, ...], Calendar] = ((), ((), ()))  # and of what
         # Levels, and the result up to which they are.
         self._curves: dict[tuple[str, int], tuple[tuple[object, ...], tuple[float, ...]]] = {}
+        self._shiftings: dict[str, tuple[tuple[ClutchNow, ...], str | None]] = {}  # how vehicles shift, and of what
+        self._wanted: deque[str] = deque(maxlen=MOST_WANTED)  # that somebody looked for, the newest last
+        self.words_number = 0  # grows whenever one became different
         self._done: tuple[int, datetime] | None = None  # snapshot and dues for which all was worked out ahead
         self.complaint: str | None = None  # why the snapshot is older than it should be
 
@@ -160,6 +171,7 @@ class Keeper:
             fluids=tuple(sorted({*last.fluids, *(now.fluid for now in read_clutches if now.fluid is not None)})),
             types=tuple(sorted(strips)),
             strips=MappingProxyType(strips),
+            untold=frozenset(now.vehicle for now in worst if not now.tells_friction),
         )
 
     def foretold(self, now: ClutchNow) -> Row | None:
@@ -198,14 +210,32 @@ class Keeper:
         """Return levels of a clutch against new fluid, the latest last; empty: not read yet."""
         return self._curves.get((now.vehicle, now.clutch), ((), ()))[1]
 
-    def work_ahead(self, budget_s: float) -> None:
-        """Foretell when fluids are due, where the watch has not, and read levels: the worst vehicles first.
+    def with_shifting(self, now: ClutchNow) -> ClutchNow:
+        """Return a vehicle with how it shifts, in a sentence, if it cannot tell friction."""
+        if now.tells_friction:
+            return now
+        told = self._shiftings.get(now.vehicle, ((), None))[1]
+        if told is None:
+            self._wanted.append(now.vehicle)
+        return replace(now, shifting=told or NOT_YET)
 
-        It ends after ``budget_s``, with one vehicle at least. Later days of the watch replace those foretold here.
+    @property
+    def mark(self) -> int:
+        """What differs once anything that lists show of vehicles became different."""
+        return (self.snapshot.number << 24) + self.words_number
+
+    def work_ahead(self, budget_s: float) -> None:
+        """Foretell when fluids are due, where the watch has not, read levels, tell how vehicles shift: the worst first.
+
+        What a reader was shown without how it shifts is told before all. It ends after ``budget_s``, with one vehicle
+        at least. Later days of the watch replace those foretold here.
         """
         end_s, mark = time.monotonic() + budget_s, (self.snapshot.number, self._dues_at)
         if mark == self._done:
             return
+        while self._wanted:
+            if self._tell_shifting(self._wanted.pop()) and time.monotonic() >= end_s:
+                return
         for worst in self.snapshot.worst:
             vehicle, clutches, last = worst.vehicle, self.snapshot.vehicles[worst.vehicle], (worst.stream, worst.seq)
             is_stale = any((row := self.foretold(now)) is None or row.get("of", now) != now for now in clutches)
@@ -217,9 +247,19 @@ class Keeper:
             is_old = self._curves.get((vehicle, worst.clutch), ((), ()))[0] != last
             if is_old:
                 self._curves[vehicle, worst.clutch] = last, levels_of(self._source.engine, vehicle, worst.clutch)
-            if (is_stale or is_old) and time.monotonic() >= end_s:
+            is_told = not worst.tells_friction and self._tell_shifting(vehicle)
+            if (is_stale or is_old or is_told) and time.monotonic() >= end_s:
                 return
         self._done = mark
+
+    def _tell_shifting(self, vehicle: str) -> bool:
+        """Tell in a sentence how a vehicle shifts; return whether there was something new to tell."""
+        clutches = self.snapshot.vehicles.get(vehicle, ())
+        if not clutches or self._shiftings.get(vehicle, ((), None))[0] == clutches:
+            return False
+        self._shiftings[vehicle] = clutches, words_of(self._source.engine, clutches)
+        self.words_number += 1
+        return True
 
     def _soon(self, now: datetime) -> frozenset[str]:
         """Return the vehicles whose fluid is due within a month, more probably than not."""

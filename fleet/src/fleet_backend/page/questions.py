@@ -30,6 +30,7 @@ class ListQuery(Parameters, frozen=True, kw_only=True):
 
 ORDERS: Final[Mapping[str, Callable[[ClutchNow], Any]]] = MappingProxyType({
     "vehicle": lambda now: now.vehicle,
+    "tier": lambda now: now.tier or 0,
     "level": lambda now: 9.0 if now.level_ratio is None else now.level_ratio,
     "km": lambda now: -1.0 if now.odometer_m is None else now.odometer_m,  # without an odometer: at the low end
     "fluid": lambda now: now.fluid or "",
@@ -49,7 +50,8 @@ class VehiclesQuery(ListQuery, frozen=True, kw_only=True):
     until: date | None = None
     calibration: Annotated[str, Meta(max_length=200, pattern=NO_CONTROLS)] | None = None  # version, or its type
     sort: Literal[SORTS] | None = None  # type: ignore[valid-type]
-    only: Literal["due", "silent", "alarm"] | None = None
+    only: Literal["due", "silent", "alarm", "untold"] | None = None
+    tier: Annotated[int, Meta(ge=1, le=3)] | None = None  # what its signals suffice for
 
 
 class VehicleQuery(Parameters, frozen=True, kw_only=True):

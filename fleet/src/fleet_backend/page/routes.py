@@ -43,6 +43,7 @@ from fleet_backend.ageing.prognosis import (
     read_past,
 )
 from fleet_backend.ageing.records import ClutchNow, Due, Fill, Severity
+from fleet_backend.ageing.shifting import answer_of, shifting_tables, summary_of
 from fleet_backend.alarms import book
 from fleet_backend.alarms.book import Note
 from fleet_backend.alarms.rules import AlarmRule, Subject
@@ -51,7 +52,7 @@ from fleet_backend.errors import AskError, BackendConfigError, NotFoundError, Un
 from fleet_backend.office_tables import ALARM
 from fleet_backend.page import queries
 from fleet_backend.page.access import UserRole
-from fleet_backend.page.fleet import WEEKS, FleetSnapshot, vehicle_type
+from fleet_backend.page.fleet import WEEKS, FleetSnapshot, vehicle_type, worse_clutch
 from fleet_backend.page.flight import Streamed, text_pieces
 from fleet_backend.page.questions import (
     ORDERS,
@@ -78,6 +79,7 @@ from fleet_backend.page.site import (
 )
 from fleet_backend.page.wording import M_PER_KM, STEPS, address
 from fleet_backend.queries import Row
+from fleet_backend.schema import FRICTION_TIER
 from fleet_contract.orders import UNKNOWN_FLUID, Action, name_of
 
 RowT = TypeVar("RowT")
@@ -95,7 +97,7 @@ def drawn_once(draw: Callable[[Request], Response]) -> Callable[[Request], Respo
     def answer(request: Request) -> Response:
         keeper = sources_of(request).keeper
         drawn = keeper.snapshot.drawn
-        who, state = viewer_of(request), (keeper.dues_number, keeper.complaint)
+        who, state = viewer_of(request), (keeper.dues_number, keeper.words_number, keeper.complaint)
         key = (str(request.url), request.headers.get("if-none-match"), who, state)
         if key not in drawn:
             made = draw(request)
@@ -112,10 +114,10 @@ def drawn_once(draw: Callable[[Request], Response]) -> Callable[[Request], Respo
 def vehicles(request: Request) -> Response:
     """List every vehicle as its worse clutch is, the worst first, and how many have each verdict."""
     query, sources = asked(request, VehiclesQuery), sources_of(request)
-    keeper, snapshot = sources.keeper, sources.keeper.snapshot
-    if is_known(request, snapshot.number):
+    keeper, snapshot, mark = sources.keeper, sources.keeper.snapshot, sources.keeper.mark
+    if is_known(request, mark):
         return Response(status_code=304)
-    groups = {"due": snapshot.due, "silent": snapshot.silent, "alarm": snapshot.alarmed}
+    groups = {"due": snapshot.due, "silent": snapshot.silent, "alarm": snapshot.alarmed, "untold": snapshot.untold}
     matching: Sequence[ClutchNow] = _matching(snapshot.worst, query)
     if query.only is not None:
         matching = [now for now in matching if now.vehicle in groups[query.only]]
@@ -124,9 +126,11 @@ def vehicles(request: Request) -> Response:
         matching = sorted(matching, key=lambda now: (key(now), now.vehicle), reverse=query.sort.startswith("-"))
     if request.url.path == CSV_PATH:
         shown, today = matching[query.offset : query.offset + query.limit], sources.now().date()
+        shown = list(map(keeper.with_shifting, shown))
         dues = ((now, due_of(now, keeper.foretold(now), today)) for now in shown)
         return streamed(request, _csv(dues), "text/csv")
-    rows, next_offset = _part(request, query, matching)
+    part, next_offset = _part(request, query, matching)
+    rows = list(map(keeper.with_shifting, part))
     counts = sum(map(Counter, snapshot.strips.values()), Counter[str]())
     answer = {
         "matching_count": len(matching),
@@ -135,6 +139,7 @@ def vehicles(request: Request) -> Response:
         "due_count": len(snapshot.due),
         "silent_count": len(snapshot.silent),
         "alarm_count": len(snapshot.alarmed),
+        "untold_count": len(snapshot.untold),
         "next": next_offset,
     }
     if is_api(request):
@@ -149,7 +154,7 @@ def vehicles(request: Request) -> Response:
         "types": {now.vehicle: vehicle_type(now) for now in rows},
         "dues": {now.vehicle: due_of(now, keeper.foretold(now), sources.now().date()) for now in rows},
     }
-    return page(request, "fleet.html", context, mark=snapshot.number)
+    return page(request, "fleet.html", context, mark=mark)
 
 
 def _csv(rows: Iterable[tuple[ClutchNow, Due]]) -> Iterator[bytes]:
@@ -168,10 +173,16 @@ def _csv_line(values: Iterable[object]) -> str:
 _OF_DUE: Final = ("due_from", "left_m", "least_left_m")
 _due_values: Final = attrgetter(*_OF_DUE)
 CSV_PATH: Final = "/vehicles.csv"
-_TILES: Final = {"due": "due within 30 days", "silent": "silent for 14 days", "alarm": "with an open alarm"}
+_TILES: Final = {
+    "due": "due within 30 days",
+    "silent": "silent for 14 days",
+    "alarm": "with an open alarm",
+    "untold": "cannot tell friction",
+}
 _COLUMNS: Final = (  # and by which word each sorts
     *(
         ("vehicle", "vehicle"),
+        ("tier", "tier"),
         ("verdict", ""),
         ("what to do", ""),
         ("due from", ""),
@@ -215,7 +226,7 @@ def _matching(clutches: Sequence[ClutchNow], query: VehiclesQuery) -> Sequence[C
     if query.q:
         part = query.q.casefold()
         clutches = [now for now in clutches if part in now.vehicle.casefold()]
-    for name in ("condition", "fluid"):
+    for name in ("condition", "fluid", "tier"):
         if (value := getattr(query, name)) is not None:
             clutches = [now for now in clutches if getattr(now, name) == value]
     if query.since is not None or query.until is not None:
@@ -262,6 +273,9 @@ def vehicle(request: Request) -> Response:
     pasts = [read_past(engine, now, fills, query.service_km * M_PER_KM, population) for now in clutches]
     estimates = [estimate for past in pasts for estimate in past.estimates]
     first = clutches[0] if clutches else None
+    tier = worse_clutch(clutches).tier if clutches else None
+    is_told = tier is None or tier == FRICTION_TIER
+    shifting = None if is_told else summary_of([row for past in pasts for row in past.rows], estimates)
     answer = {
         "vehicle": name,
         "is_online": None if state["is_online"] is None else bool(state["is_online"]),
@@ -270,7 +284,9 @@ def vehicle(request: Request) -> Response:
         "service_version": state["service_version"],
         "action": first and first.action,
         "order": first and first.order,
-        "outlook": first and outlook_text((past.prognosis for past in pasts), first),
+        "outlook": outlook_text((past.prognosis for past in pasts), first) if first and is_told else None,
+        "tier": tier,
+        "shifting": None if shifting is None else answer_of(shifting),
         "fills": fills,
         "alarms": book.alarms(engine, ALARM.c.vehicle == name),
         "clutches": [
@@ -291,7 +307,7 @@ def vehicle(request: Request) -> Response:
     if is_api(request):
         return encoded(answer)
     fan = fan_of_vehicle(clutches, pasts, fills, answer["alarms"]) if clutches else None
-    prognoses = [past.prognosis for past in pasts if past.prognosis is not None]
+    prognoses = [past.prognosis for past in pasts if past.prognosis is not None] if is_told else []
     context = {
         "answer": answer,
         "fan": fan,
@@ -299,8 +315,9 @@ def vehicle(request: Request) -> Response:
         "fan_record": None if fan is None else fan_record(fan),
         "left": _left(clutches, fills, prognoses),
         "odometer_m": max((now.odometer_m for now in clutches if now.odometer_m is not None), default=None),
-        "distance": distance_left(prognoses, Action(first.action)).capitalize() if first else "",
-        "steps": STEPS.get(Action(first.action), ()) if first else (),
+        "distance": distance_left(prognoses, Action(first.action)).capitalize() if first and is_told else "",
+        "steps": STEPS.get(Action(first.action), ()) if first and is_told else (),
+        "shifting_tables": [] if shifting is None else shifting_tables(shifting),
         "happened": sorted(_happened(fills, answer["alarms"]), key=lambda event: event[0], reverse=True),
         "lines": course_lines(answer["changes"]),
         "assumptions": dict.fromkeys(

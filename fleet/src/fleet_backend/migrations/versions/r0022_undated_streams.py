@@ -7,7 +7,6 @@ from sqlalchemy import inspect
 
 from fleet_backend.months import FUNCTIONS, RANK
 from fleet_backend.schema import RANK_INDEX
-from fleet_backend.views import make_views
 
 revision: str = "r0022"
 down_revision: str | None = "r0021"
@@ -22,7 +21,7 @@ WHERE v.vehicle = alarm.vehicle AND v.clutch = alarm.clutch AND alarm.rule = 've
 
 
 def upgrade() -> None:
-    """Make the views, and all that holds ranks, anew; PostgreSQL reads all results once."""
+    """Make all that holds ranks anew; PostgreSQL reads all results once. A later migration makes the views."""
     connection = op.get_bind()
     if inspect(connection).has_table("alarm_acknowledgement"):  # not in a database that is made from nothing
         op.execute(_TAKE_OVER)
@@ -35,4 +34,3 @@ def upgrade() -> None:
         RANK_INDEX.create(connection)
     for name in ("vehicle_lot", "clutch_month", "clutch_block", "alarm_acknowledgement"):  # which nobody reads any more
         op.execute(f"DROP TABLE IF EXISTS {name}")
-    make_views(connection)
