@@ -15,7 +15,8 @@ from diag_service.api import choices
 from diag_service.api.analysis import Analysis
 from diag_service.console import collected_notices
 from diag_service.delivery import ControllerNews, News, Reporter
-from diag_service.diagnosis.summary import FrameCounts, Summary, summary_record
+from diag_service.diagnosis.frame_counts import FrameCounts
+from diag_service.diagnosis.summary import Summary, summary_record
 from diag_service.errors import ConfigError
 from diag_service.service.application import opened_store
 from diag_service.service.bus_run import diagnose_source, open_live, serve_bus

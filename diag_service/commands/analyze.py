@@ -20,8 +20,9 @@ from diag_service.batch.drives import LeftOut, left_out_record
 from diag_service.batch.tables import Entry
 from diag_service.console import ReadingLine
 from diag_service.delivery import standard_output_reporter
+from diag_service.diagnosis.frame_counts import FrameCounts, frames_line
 from diag_service.diagnosis.friction.paper import PaperEstimate, PaperShift, PooledClutch
-from diag_service.diagnosis.summary import GAP_TEXT, FrameCounts, Gap, frames_line, gaps_line
+from diag_service.diagnosis.summary import GAP_TEXT, Gap, gaps_line
 from diag_service.errors import ConfigError
 from diag_service.settings.config import PROPOSED
 from diag_service.settings.options import AnalyzeOptions
@@ -196,11 +197,12 @@ def drive_line(entry: Entry) -> str:
     counts = f" ({', '.join(f'{count} {name}' for name, count in statuses.items())})" if statuses else ""
     clutches = [f"clutch {clutch['clutch']} {clutch['condition'].replace('_', ' ')}" for clutch in summary["clutches"]]
     tier = f"tier {summary['capability']['tier'] or 'none'}"
+    content = "frames"
     if summary["capability"]["profile"] == PROPOSED:
-        tier += ", columns read as proposed"
+        tier, content = f"{tier}, columns read as proposed", "values"
     frames = summary["frames"]
     parts = [
-        f"{frames['on_bus']} frames",
+        f"{frames['on_bus']} {content}",
         f"{sum(frames['rejected'].values())} rejected",
         tier,
         f"{len(entry.shifts)} shifts{counts}",

@@ -27,7 +27,8 @@ from diag_service.api import live
 from diag_service.commands.options import SETTINGS
 from diag_service.delivery import DetachedReporter, News, standard_output_reporter
 from diag_service.delivery.console import order_lines, shift_head, shift_line
-from diag_service.diagnosis.summary import frames_line, shifts_line
+from diag_service.diagnosis.frame_counts import frames_line
+from diag_service.diagnosis.summary import shifts_line
 from diag_service.service.snapshot import Snapshot
 from diag_service.settings.options import LiveOptions, diagnosis_config
 from diag_service.stopping import Controls

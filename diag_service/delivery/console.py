@@ -29,13 +29,13 @@ from clutchdiag_io.console import PeopleConsole, plain_table
 from clutchdiag_io.people import PLUS_MINUS, SHORT_PLUS_MINUS, half_width, plus_minus
 from clutchdiag_io.program import discard
 from diag_service.delivery.reporters import ControllerNews, JsonLinesReporter, News, PipeReporter, Reporter
+from diag_service.diagnosis.frame_counts import frames_line, values_line
 from diag_service.diagnosis.lockup.slip import slip_lines
 from diag_service.diagnosis.lockup.slope import slope_lines
 from diag_service.diagnosis.summary import (
     Summary,
     capability_line,
     cause_lines,
-    frames_line,
     gaps_line,
     newest_causes,
     ratio_line,
@@ -44,7 +44,6 @@ from diag_service.diagnosis.summary import (
     shifting_lines,
     shifts_line,
     slope_line,
-    values_line,
 )
 from diag_service.stopping import Trigger
 from fleet_contract.orders import SHOWN_AS, Order, name_of

@@ -41,6 +41,7 @@ from diag_service.diagnosis.capability import (
 )
 from diag_service.diagnosis.condition.thresholds import Silence
 from diag_service.diagnosis.condition.verdict import advice, likely
+from diag_service.diagnosis.frame_counts import FrameCounts, with_reasons
 from fleet_contract import JsonObject, orders
 
 RENEWED_RATIO: Final = 0.08  # by which mu_C rises with one fluid at most; after a fill by 15 % and more
@@ -166,7 +167,6 @@ if TYPE_CHECKING:  # a live service tells no friction up to a scale
     from diag_service.diagnosis.prediction import RelativeFriction
 
 SUMMARY_SCHEMA = "clutchdiag/summary/v1"
-NAMED_SIGNALS = 3  # of those that lost values
 _FRAME_KEYS = {"invalid": "invalid_signals"}  # public, where they are not the names of `FrameCounts`
 
 
@@ -178,34 +178,6 @@ class Gap(StrEnum):
 
 
 GAP_TEXT = {Gap.STOPPED: "stopped early", Gap.LOG_CUT: "a log is cut off"}
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FrameCounts:
-    """Frames of one run. ``on_bus = decoded + ignored + rejected + unsupported + dropped``, to the frame."""
-
-    on_bus: int = 0  # seen by the interface or in the log, those lost on the way included
-    decoded: int = 0
-    ignored: int = 0  # of messages that the service does not use
-    unsupported: int = 0  # neither CAN nor CAN FD
-    kernel_dropped: int = 0
-    queue_dropped: int = 0
-    rejected: Mapping[str, int] = field(default_factory=dict)  # reason -> frames
-    missing: int = 0  # never on this side of the bus, as alive counters tell
-    late: int = 0  # held back on the way: they came in bursts, or behind frames that were sent later
-    invalid_values: int = 0  # not available or out of range, in decoded frames
-    invalid: Mapping[str, Mapping[str, int]] = field(default_factory=dict)  # the same: signal -> reason -> values
-    invalid_at_first: Mapping[str, int] = field(default_factory=dict)  # of these before a signal's first real value
-    unreadable: Mapping[str, int] = field(default_factory=dict)  # lines or objects of a log, reason -> count
-
-    @property
-    def rejected_count(self) -> int:
-        return sum(self.rejected.values())
-
-    @property
-    def is_balanced(self) -> bool:
-        dropped = self.kernel_dropped + self.queue_dropped
-        return self.on_bus == self.decoded + self.ignored + self.unsupported + self.rejected_count + dropped
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -422,7 +394,8 @@ def gaps_line(gaps: tuple[Gap, ...]) -> str:
 def summary_record(summary: Summary) -> JsonObject:
     """Return the numbers as the final JSON object of a run."""
     frames = {_FRAME_KEYS.get(name, name): value for name, value in to_plain(summary.frames).items()}
-    frames.pop("invalid_at_first", None)  # for people
+    for own in ("invalid_at_first", "content"):  # for people
+        del frames[own]
     capability = to_plain(summary.capability)
     del capability["elements"]  # results have them
     if not summary.capability.needs:
@@ -456,41 +429,6 @@ def summary_record(summary: Summary) -> JsonObject:
     }
 
 
-def frames_line(frames: FrameCounts) -> str:
-    """Return the frame numbers as one line for people."""
-    parts = [f"{frames.on_bus} frames", f"{frames.decoded} decoded", f"{frames.ignored} ignored"]
-    parts.append(_with_reasons(f"{frames.rejected_count} rejected", frames.rejected))
-    if frames.unsupported:
-        parts.append(f"{frames.unsupported} neither CAN nor CAN FD")
-    parts.append(f"{frames.kernel_dropped + frames.queue_dropped} dropped")
-    parts.append(f"{frames.missing} missing")
-    if frames.late:
-        parts.append(f"{frames.late} late, in bursts or behind later ones")
-    parts.append(f"{frames.invalid_values} values not available")
-    if any(frames.unreadable.values()):
-        parts.append(_with_reasons("unreadable in the log", frames.unreadable))
-    return ", ".join(parts)
-
-
-def values_line(frames: FrameCounts) -> str:
-    """Return which signals lost values after they had any, as one line for people; empty if none did."""
-    lost = {
-        signal: sum(reasons.values()) - frames.invalid_at_first.get(signal, 0)
-        for signal, reasons in sorted(frames.invalid.items())
-    }
-    most = sorted((signal for signal in lost if lost[signal] > 0), key=lambda signal: -lost[signal])
-    if not most:
-        return ""
-    named = ", ".join(f"{signal} ({lost[signal]})" for signal in most[:NAMED_SIGNALS])
-    rest = len(most) - NAMED_SIGNALS
-    more = f" and {rest} more signal{'s' if rest > 1 else ''}" if rest > 0 else ""
-    count, plural = sum(lost[signal] for signal in most), "s" if len(most) > 1 else ""
-    values = f"{count} values of {len(most)} signal{plural} were no measurements"
-    if count == 1:
-        values = "1 value of 1 signal was no measurement"
-    return f"{values} after the first real one: {named}{more}"
-
-
 def reason_text(reason: str) -> str:
     """Return the value of a reason for people."""
     return "frames late" if reason == Reason.TIME_UNSURE else reason.replace("_", " ")
@@ -503,9 +441,9 @@ def shifts_line(summary: Summary) -> str:
     if summary.untold:  # that friction is not told is said of the vehicle
         by_status.pop(Status.UNOBSERVED, None)
         by_reason.pop(Reason.SIGNAL_MISSING, None)
-    parts = [_with_reasons(f"{total} shifts", by_status)]
+    parts = [with_reasons(f"{total} shifts", by_status)]
     if any(by_reason.values()):
-        parts.append(_with_reasons("reasons", {reason_text(reason): n for reason, n in by_reason.items()}))
+        parts.append(with_reasons("reasons", {reason_text(reason): n for reason, n in by_reason.items()}))
     if summary.shifts.known_count:
         parts.append(f"{summary.shifts.known_count} were stored before")
     if summary.unpublished_count:
@@ -592,8 +530,3 @@ def ratio_line(summary: Summary) -> str:
 
 def _change(ratio: float, std_ratio: float) -> str:
     return plus_minus(ratio, std_ratio, "{:+.1f}", scale=100.0) + " %"
-
-
-def _with_reasons(head: str, counts: Mapping[str, int]) -> str:
-    named = [f"{count} {name.replace('_', ' ')}" for name, count in counts.items() if count]
-    return f"{head} ({', '.join(named)})" if named else head

@@ -30,7 +30,7 @@ from diag_service.diagnosis.columns import (
     Signal,
 )
 from diag_service.diagnosis.events import Event
-from diag_service.diagnosis.summary import FrameCounts
+from diag_service.diagnosis.frame_counts import FrameCounts
 from diag_service.mapping.asked_signals import Overheard
 from diag_service.mapping.mapped_messages import FRICTION_SIGNALS, MessageColumns, SourceTable, map_signals
 from diag_service.mapping.profile import Profile
@@ -207,6 +207,7 @@ class Decoder:
         )
         self.gears: GearRatios | None = profile.gears
         self.profile_name, self.profile_sources = profile.name, profile.sources
+        self._content = "values" if profile.is_table else "frames"
         self.named_channel = profile.channel
         self._e2e = E2eStates(
             [mapped.message.name for mapped in self._messages], [mapped.period_ns for mapped in self._messages]
@@ -293,6 +294,7 @@ class Decoder:
             for signal, counts in self._invalid.items()
         }
         return FrameCounts(
+            content=self._content,
             on_bus=int(counts.sum()),
             decoded=int(counts[FrameReason.OK]),
             ignored=int(counts[FrameReason.UNKNOWN_ID]),

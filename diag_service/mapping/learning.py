@@ -534,7 +534,7 @@ def proposed_profile(
         "",
         *(["The log is cut off."] if survey.is_cut else []),
         *(f"The log: {note}." for note in survey.notes),
-        f"{survey.frames} frames, {survey.unknown} of them not in the database.",
+        f"{survey.frames} values." if are_columns else f"{survey.frames} frames, {survey.unknown} not in the database.",
         *([f"It is {why}."] if (why := survey.why_wrong) else []),
         *proposal.unfit_units(survey.statistics(), best),
         *proposal.questioned(best),

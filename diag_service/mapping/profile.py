@@ -268,6 +268,11 @@ class Profile:
         return {signal: source.pgn for signal, source in of_bus.items() if source.request and source.pgn is not None}
 
     @property
+    def is_table(self) -> bool:
+        """Whether it reads a table of signals and no frames."""
+        return bool(self.sources) and all(isinstance(source, ColumnSource) for source in self.sources.values())
+
+    @property
     def is_of_columns(self) -> bool:
         """Whether it needs no database: what is a signal of a message may be absent."""
         is_needed = (isinstance(source, BusSource) and not source.optional for source in self.sources.values())

@@ -40,15 +40,8 @@ from diag_service.diagnosis.capability import is_relative
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.condition.verdict import likely
 from diag_service.diagnosis.events import Event
-from diag_service.diagnosis.summary import (
-    capability_line,
-    frames_line,
-    gaps_line,
-    newest_causes,
-    reason_text,
-    summary_record,
-    values_line,
-)
+from diag_service.diagnosis.frame_counts import frames_line, values_line
+from diag_service.diagnosis.summary import capability_line, gaps_line, newest_causes, reason_text, summary_record
 from diag_service.errors import ConfigError, StoreError
 from diag_service.report.findings import Findings, moment_words
 from diag_service.report.history import outlook_of, prognoses_of

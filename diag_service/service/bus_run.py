@@ -19,7 +19,8 @@ from clutch_model.calibration import nominal_calibration
 from clutchdiag_io.program import attached
 from dbc.contract import load_contract
 from diag_service.delivery import Outbox
-from diag_service.diagnosis.summary import Summary, frames_line
+from diag_service.diagnosis.frame_counts import frames_line
+from diag_service.diagnosis.summary import Summary
 from diag_service.errors import ConfigError
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile

@@ -10,7 +10,8 @@ from canlog.live import BusSilence, LinkBreak, LiveSource, ReadSchedule
 from clutchdiag_io.program import legible
 from diag_service.delivery import Outbox
 from diag_service.diagnosis.events import Event
-from diag_service.diagnosis.summary import FrameCounts, Summary, frames_line, shifts_line
+from diag_service.diagnosis.frame_counts import FrameCounts, frames_line
+from diag_service.diagnosis.summary import Summary, shifts_line
 from diag_service.errors import StoreError
 from diag_service.service.application import first_error
 from diag_service.service.session import SenderWatch, Session

@@ -13,7 +13,8 @@ from canlog.logs.reading import Watch
 from clutchdiag_io.program import legible
 from diag_service.delivery import Outbox, Reporter
 from diag_service.diagnosis.events import Event
-from diag_service.diagnosis.summary import Contributions, FrameCounts, Gap, Summary
+from diag_service.diagnosis.frame_counts import FrameCounts
+from diag_service.diagnosis.summary import Contributions, Gap, Summary
 from diag_service.errors import StoppedError
 from diag_service.mapping.interpretation import Interpretation
 from diag_service.service.application import first_error, opened_store, outbox_of, run_to_end

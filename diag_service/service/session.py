@@ -34,17 +34,9 @@ from diag_service.delivery import Reporter
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.condition.condition import failed_verdict
 from diag_service.diagnosis.events import Event
+from diag_service.diagnosis.frame_counts import FrameCounts, frames_line
 from diag_service.diagnosis.friction.estimator import without_friction
-from diag_service.diagnosis.summary import (
-    NO_LOGS,
-    Contributions,
-    FrameCounts,
-    Gap,
-    Summary,
-    frames_line,
-    latest_of,
-    of_present_fluid,
-)
+from diag_service.diagnosis.summary import NO_LOGS, Contributions, Gap, Summary, latest_of, of_present_fluid
 from diag_service.errors import DiagServiceError, StoreFullError
 from diag_service.mapping.decoder import Decoder
 from diag_service.service.stages import Belief, Diagnosis, Stages, kind_of

@@ -9,7 +9,8 @@ from canlog.live import BusState, BusStatus, LiveSource
 from canlog.traffic import DEFAULT_BITRATE
 from clutch_model.units import NS_PER_S
 from clutch_results.records import FluidFill, ShiftResult
-from diag_service.diagnosis.summary import FrameCounts, Summary
+from diag_service.diagnosis.frame_counts import FrameCounts
+from diag_service.diagnosis.summary import Summary
 from diag_service.mapping.decoder import MessageCounts
 from diag_service.service.session import Session, Stuck
 from diag_service.service.stages import Stages

@@ -8,7 +8,7 @@ import pytest
 from clutch_model.calibration import nominal_calibration
 from clutch_results.records import Status
 from dbc.contract import load_contract
-from diag_service.diagnosis.summary import FrameCounts
+from diag_service.diagnosis.frame_counts import FrameCounts
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from diag_service.service.stages import Diagnosis, Stages

@@ -9,7 +9,8 @@ import pytest
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
 from diag_service.diagnosis.events import Event
-from diag_service.diagnosis.summary import Contributions, FrameCounts
+from diag_service.diagnosis.frame_counts import FrameCounts
+from diag_service.diagnosis.summary import Contributions
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from diag_service.service.drive import DriveFrames, open_drive

@@ -253,3 +253,10 @@ def test_a_table_has_values_and_no_frames_where_it_is_read_and_decoded(tmp_path:
         assert reading_text(reader).endswith(" 60 values")
     record = json.loads(ended("decode", tables[0], "-o", tmp_path / "again", "--json").out)
     assert record["frames"]["read"] == 60  # programs know them by this name
+    proposed = ended("signals", tables[0])
+    assert "# 60 values." in proposed.out.splitlines()
+    (tmp_path / "car.toml").write_text(proposed.out, encoding="utf-8")
+    for words in (("analyze", tables[0], "--profile", tmp_path / "car.toml"), ("analyze", tables[0].parent)):
+        told = ended(*words).out
+        assert "60 values" in told, told
+        assert "frames" not in told

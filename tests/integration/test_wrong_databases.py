@@ -12,7 +12,8 @@ from canlog.logs import read_log
 from canlog.logs.log_counts import WHOLE_SECONDS
 from clutch_results.records import ShiftStatistics
 from dbc.contract import DBC_PATH
-from diag_service.diagnosis.summary import FrameCounts, Summary, capability_line
+from diag_service.diagnosis.frame_counts import FrameCounts
+from diag_service.diagnosis.summary import Summary, capability_line
 from tests.support.in_process import ended as run
 from tests.support.service import Ended
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from canlog.frames import FrameBatch, join
 from clutch_model.units import m_s_from_km_h, pa_from_bar, rad_s_from_rpm
 from diag_service.diagnosis.columns import ColumnBatch, Signal
-from diag_service.diagnosis.summary import FrameCounts
+from diag_service.diagnosis.frame_counts import FrameCounts
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import Profile, load_profile, load_shipped
 from ecu_emulator.bus.frames import SIGNAL_OF, FrameEncoder

@@ -8,7 +8,8 @@ import pytest
 from clutch_results.records import Condition, ShiftStatistics
 from diag_service.api.analysis import Analysis
 from diag_service.api.expectations import expect_frames, expect_same_frames, expect_shifts, expect_verdict
-from diag_service.diagnosis.summary import FrameCounts, Summary, summary_record
+from diag_service.diagnosis.frame_counts import FrameCounts
+from diag_service.diagnosis.summary import Summary, summary_record
 from tests.support.builders import rejected, shift_result
 
 FRAMES = FrameCounts(

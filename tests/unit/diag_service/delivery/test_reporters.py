@@ -4,7 +4,8 @@ from dataclasses import replace
 
 from clutch_results.records import Reason, ShiftResult, ShiftStatistics
 from diag_service.delivery import MemoryReporter, News, PipeReporter
-from diag_service.diagnosis.summary import FrameCounts, Summary
+from diag_service.diagnosis.frame_counts import FrameCounts
+from diag_service.diagnosis.summary import Summary
 from tests.support.builders import rejected, shift_result
 
 FRAMES = FrameCounts(

@@ -29,8 +29,9 @@ from clutch_results.records import (
 )
 from diag_service.diagnosis.capability import Capability
 from diag_service.diagnosis.condition.condition import ConditionMemory, PairClutch, judge
+from diag_service.diagnosis.frame_counts import FrameCounts
 from diag_service.diagnosis.friction import Posterior
-from diag_service.diagnosis.summary import FrameCounts, Summary, capability_line, of_own_fluid, order_by
+from diag_service.diagnosis.summary import Summary, capability_line, of_own_fluid, order_by
 from fleet_contract import schema
 from fleet_contract.errors import ResultError
 from fleet_contract.orders import Action

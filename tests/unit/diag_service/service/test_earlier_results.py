@@ -9,7 +9,7 @@ import pytest
 from clutch_results.records import Condition, FluidFill, ShiftResult
 from dbc.contract import load_contract
 from diag_service.delivery import MemoryReporter
-from diag_service.diagnosis.summary import FrameCounts
+from diag_service.diagnosis.frame_counts import FrameCounts
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import PROFILE_PATH, load_profile
 from diag_service.service.session import Session

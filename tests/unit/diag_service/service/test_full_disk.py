@@ -11,7 +11,7 @@ from clutch_results.records import ShiftResult
 from dbc.contract import load_contract
 from diag_service.delivery import MemoryReporter
 from diag_service.diagnosis.events import Event
-from diag_service.diagnosis.summary import FrameCounts
+from diag_service.diagnosis.frame_counts import FrameCounts
 from diag_service.errors import StoreFullError
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile

@@ -8,7 +8,7 @@ import pytest
 from canlog.arrays import Int64Array
 from canlog.frames import FrameBatch
 from clutch_results.records import Reason, Status
-from diag_service.diagnosis.summary import frames_line
+from diag_service.diagnosis.frame_counts import frames_line
 from diag_service.service.session import SenderWatch
 from tests.support.chain import DRIVE_S, Outcome, diagnosed, drive_frames, whole_drive
 from tests.support.lateness import after_stalls

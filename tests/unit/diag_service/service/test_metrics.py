@@ -14,7 +14,8 @@ from clutch_results.event_kinds import EventKind
 from clutch_results.loads import Load, borne
 from clutch_results.records import FluidFill, ShiftResult, ShiftStatistics, quality_from
 from clutchdiag_io.metrics import Told
-from diag_service.diagnosis.summary import FrameCounts, Summary, of_present_fluid
+from diag_service.diagnosis.frame_counts import FrameCounts
+from diag_service.diagnosis.summary import Summary, of_present_fluid
 from diag_service.service.metrics import families as _families
 from diag_service.service.snapshot import Snapshot
 from tests.support.builders import shift_result
