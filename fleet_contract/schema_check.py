@@ -130,7 +130,11 @@ _BY_NAME: Final = tuple(
         ("_pa", -1e9, 1e9),  # 10,000 bar; a transmission has 30
         ("_nm", -1e6, 1e6),  # the largest diesel engine of a truck gives 4e3 N m
         ("_m", 0, 1e10),  # 10 million km
-        ("_ratio|^change|^std|^expected", -1e9, 1e9),  # any unit above: a change of pressure [Pa] is the largest
+        (
+            "_ratio|ratio_before|ratio_after|^change|^std|^expected",
+            -1e9,
+            1e9,
+        ),  # of any unit: a change of pressure [Pa] is largest
         ("", -_FAR, _FAR),
     )
 )

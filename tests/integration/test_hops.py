@@ -20,8 +20,8 @@ from tests.plugins.broker import Mosquitto
 
 EVENT_CALLS, EVENT_MODULES = 580, 19  # to the stored result; 80 of the calls are the indices of a shift
 BROKER_MODULES = 31
-UDDS_CALLS, UDDS_MODULES, UDDS_FILMS = 850, 15, 13  # of the worst event of a cool car, to its diagnosis
-DECODE_CALLS, DECODE_MODULES = 1_850, 31  # from a log to its table; its last moments come in a batch of their own
+UDDS_CALLS, UDDS_MODULES, UDDS_FILMS = 930, 17, 13  # of the worst event of a cool car, to its diagnosis and indices
+DECODE_CALLS, DECODE_MODULES = 1_850, 32  # from a log to its table; its last moments come in a batch of their own
 
 
 @pytest.fixture(scope="module")

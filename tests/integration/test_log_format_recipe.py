@@ -49,7 +49,7 @@ def recipe() -> str:
 
 
 def add_last(path: Path, name: str, line: str) -> None:
-    """Add a line at the end of the class or the mapping of a name."""
+    """Add a line behind the last member of the class, or at the end of the mapping, of a name."""
     text = path.read_text(encoding="utf-8")
     (node,) = (
         node
@@ -57,9 +57,11 @@ def add_last(path: Path, name: str, line: str) -> None:
         if (isinstance(node, ast.ClassDef) and node.name == name)
         or (isinstance(node, ast.AnnAssign) and ast.unparse(node.target) == name)
     )
-    assert node.end_lineno is not None
+    members = [part for part in getattr(node, "body", ()) if isinstance(part, ast.Assign)]
+    end = members[-1].end_lineno if members else node.end_lineno
+    assert end is not None
     lines = text.splitlines(keepends=True)
-    lines.insert(node.end_lineno - isinstance(node, ast.AnnAssign), f"    {line}\n")
+    lines.insert(end - isinstance(node, ast.AnnAssign), f"    {line}\n")
     path.write_text("".join(lines), encoding="utf-8")
 
 

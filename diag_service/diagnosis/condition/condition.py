@@ -32,9 +32,9 @@ from diag_service.diagnosis.condition.thresholds import FIT_WINDOW, THRESHOLDS, 
 from diag_service.diagnosis.condition.verdict import (
     SHIFTS,
     SLIP_MINUTES,
-    Case,
-    Course,
+    ClutchCourse,
     Finding,
+    KnownFriction,
     KnownLevel,
     KnownUpToScale,
     Launches,
@@ -393,7 +393,7 @@ class JudgedClutch(Protocol):
     def misfit(self) -> tuple[Silence, str]:
         """What is said where the calibration does not fit, and what to do."""
 
-    def case(self, memory: ConditionMemory) -> Case:
+    def case(self, memory: ConditionMemory) -> KnownFriction:
         """Return what its verdict is decided by."""
 
     def noted(self, finding: Finding) -> Finding:
@@ -461,10 +461,10 @@ class PairClutch:
             progress=calibration_ratio(state, calibration),
         )
 
-    def case(self, memory: ConditionMemory) -> Case:
+    def case(self, memory: ConditionMemory) -> KnownFriction:
         index = self.clutch - 1
         reference = self.calibration.clutches[index].friction
-        course = Course(
+        course = ClutchCourse(
             counted=SHIFTS,
             shift_count=self.shift_counts[index],
             since=self.since,
@@ -536,10 +536,10 @@ class ConverterClutch:
         friction, since = state.friction(), state.trend()
         return cls(state=state, calibration=calibration, friction=friction, since=since, shudder=shudder)
 
-    def case(self, memory: ConditionMemory) -> Case:
+    def case(self, memory: ConditionMemory) -> KnownFriction:
         reference, now = self.calibration.clutches[0].friction, self.friction
         left = NormalDist(now.mu_c - now.mu_s, now.std_slope_s_rad * reference.stribeck_speed_rad_s)
-        course = Course(
+        course = ClutchCourse(
             counted=SLIP_MINUTES,
             shift_count=self.state.shift_count,
             since=self.since,

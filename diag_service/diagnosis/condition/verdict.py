@@ -218,7 +218,7 @@ def nothing(silence: Silence, reason: str) -> Finding:
     return Finding(condition=Condition.NO_VERDICT, reason=reason, ground=silence)
 
 
-class Counted(NamedTuple):
+class EventNames(NamedTuple):
     """What the events of a clutch are called, and those of them that are a witness of its slope."""
 
     some: str
@@ -229,20 +229,20 @@ class Counted(NamedTuple):
     swings: Silence  # where they contradict friction
 
 
-SHIFTS: Final = Counted(
+SHIFTS: Final = EventNames(
     "shift(s)", "shifts", Silence.FEW_SHIFTS, "launches juddered", "launches", Silence.LAUNCHES_JUDDER
 )
-SLIP_MINUTES: Final = Counted(
+SLIP_MINUTES: Final = EventNames(
     "minutes of slip", "minutes of slip", Silence.FEW_EVENTS, "minutes of slip shuddered", "minutes of slip",
     Silence.SLIP_SWINGS,
 )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Course:
+class ClutchCourse:
     """What is known of a clutch beside its friction."""
 
-    counted: Counted
+    counted: EventNames
     shift_count: int  # events that the running friction rests on
     since: FrictionTrend | None  # what became of it since the baseline; None: there is no baseline
     launches: Launches  # which of its launches juddered, or stretches of slip swung
@@ -263,11 +263,11 @@ class Course:
         return NormalDist(1.0 + since.change_mu_c_ratio, max(since.std_change_mu_c_ratio, 1e-9)).cdf(level_ratio)
 
 
-class Case(Protocol):
+class KnownFriction(Protocol):
     """Friction of a clutch as far as it is known, and what speaks for each verdict."""
 
     @property
-    def course(self) -> Course:
+    def course(self) -> ClutchCourse:
         """What is known beside it."""
 
     @property
@@ -291,7 +291,7 @@ class Case(Protocol):
         """Return what is said where no cause is likely enough to ``watch``."""
 
 
-def decide(case: Case) -> Finding:
+def decide(case: KnownFriction) -> Finding:
     """Return the verdict on a clutch: the rules of docs/verdict.md in their order."""
     count, counted = case.course.shift_count, case.course.counted
     if count < MIN_SHIFT_COUNT:
@@ -305,7 +305,7 @@ def decide(case: Case) -> Finding:
     return case.without_cause(watch) if bad is None else bad
 
 
-def _standing(condition: Condition, causes: Mapping[Cause, float], case: Case) -> Finding | None:
+def _standing(condition: Condition, causes: Mapping[Cause, float], case: KnownFriction) -> Finding | None:
     """Return a bad verdict by its likeliest cause, or by that for which it was given; None: no cause is likely."""
     course, give_at = case.course, given_at(*case.situations)
     given = [cause for cause, probability in causes.items() if probability >= give_at[cause]]
@@ -322,7 +322,7 @@ def _standing(condition: Condition, causes: Mapping[Cause, float], case: Case) -
 class KnownLevel:
     """A clutch whose level of friction is known, as torque is measured; `of` makes one."""
 
-    course: Course
+    course: ClutchCourse
     situations: tuple[Situation, ...]
     friction: FrictionEstimate
     level: NormalDist  # mu_C over that of new fluid
@@ -333,7 +333,7 @@ class KnownLevel:
     common_thin: float  # likewise by both together
 
     @classmethod
-    def of(cls, friction: FrictionEstimate, reference: FrictionCurve, common: NormalDist, course: Course) -> Self:
+    def of(cls, friction: FrictionEstimate, reference: FrictionCurve, common: NormalDist, course: ClutchCourse) -> Self:
         """Return the case of running friction; ``common`` is the part of new fluid's margin left by both clutches."""
         new_margin = reference.mu_c - reference.mu_s
         margin = NormalDist(friction.mu_c - friction.mu_s, friction.std_slope_s_rad * reference.stribeck_speed_rad_s)
@@ -414,14 +414,14 @@ class KnownLevel:
 class KnownUpToScale:
     """A clutch whose level of friction is not known: slope and change are told without it, not that it is sound."""
 
-    course: Course
+    course: ClutchCourse
     situations: tuple[Situation, ...]
     slope: FrictionSlope
     new_margin_ratio: float  # of new fluid, over its mu_C
     std_ratio: float  # deviation of the margin over that of new fluid
 
     @classmethod
-    def of(cls, slope: FrictionSlope, reference: FrictionCurve, course: Course) -> Self:
+    def of(cls, slope: FrictionSlope, reference: FrictionCurve, course: ClutchCourse) -> Self:
         """Return the case of a slope that no scale moves."""
         std_ratio = slope.std_mu_s_ratio / (new_margin_ratio := 1.0 - reference.mu_s / reference.mu_c)
         return cls(

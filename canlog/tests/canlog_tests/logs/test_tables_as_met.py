@@ -41,9 +41,9 @@ TABLES: dict[str, tuple[str | bytes, Expected]] = {
         lines("Time s,Engine Speed rpm,Clutch Pressure bar,Clutch A", rows("{t:.1f},{rpm},{p:.1f},{n}")),
         (("Engine Speed rpm", "rpm", SPEED), ("Clutch Pressure bar", "bar", PRESSURE), ("Clutch A", "", COUNTED)),
     ),
-    "units behind an underscore": (
+    "an underscore, behind which no unit stands": (
         lines("time_s,engine_speed_rpm,clutch_pressure_bar", rows()),
-        (("engine_speed_rpm", "rpm", SPEED), ("clutch_pressure_bar", "bar", PRESSURE)),
+        (("engine_speed_rpm", "", SPEED), ("clutch_pressure_bar", "", PRESSURE)),
     ),
     "units behind a quoted comma": (
         lines('"Time, s","Engine, rpm","Clutch, bar"', rows()),

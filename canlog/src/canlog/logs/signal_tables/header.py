@@ -31,7 +31,7 @@ UNITS: Final = frozenset({*TIME_UNITS_US, *SPELLINGS.split(), "unix time", "deg 
 """Spellings of units in rows that hold nothing but units, in small letters; a program may have others beside them."""
 LEAST_KNOWN: Final = 0.5  # of the cells of a row that is one of units, whatever stands around it
 BRACKETS: Final = "[](){}<>"
-UNIT_BEHIND: Final = re.compile(r".*?\S(?:\s+/\s*|,\s*|\s+|_)(?P<unit>(?:1/)?[^\s,_]*[^\W\d_][^\s,_]*|°|%)")
+UNIT_BEHIND: Final = re.compile(r".*?\S(?:\s+/\s*|,\s*|\s+)(?P<unit>(?:1/)?[^\s,]*[^\W\d_][^\s,]*|°|%)")
 ONE_LETTER: Final = frozenset("sv°%")  # others behind a name tell clutches and gears apart
 
 
@@ -67,9 +67,10 @@ def signal_columns(names: Sequence[str], units: Sequence[str] = ()) -> tuple[lis
 
 
 def with_units_of_names(columns: Sequence[SignalColumn]) -> list[SignalColumn]:
-    """Return columns with the units in which their names end, as in ``oil_temp_degC``; the names stay as they are.
+    """Return columns with the units in which their names end, as in ``Oil temp degC``; the names stay as they are.
 
-    Only where no other unit is told, and where names of half of the columns or more end so.
+    Only where no other unit is told, and where names of half of the columns or more end so. A name of one word, as
+    ``oil_temp_degC``, is a program's: what it says of the unit is for whoever weighs it against the values.
     """
     behind = [_unit_behind(column.name) for column in columns]
     count = sum(map(bool, behind))

@@ -14,8 +14,8 @@ from diag_service.diagnosis.condition.verdict import (
     LEAST_SHIFT_COUNT,
     SHIFTS,
     SLIP_MINUTES,
-    Counted,
-    Course,
+    ClutchCourse,
+    EventNames,
     KnownLevel,
     Launches,
     decide,
@@ -409,12 +409,12 @@ def test_without_measured_torque_a_thin_margin_must_be_surer_in_the_cold() -> No
     ],
 )
 def test_one_decision_serves_clutches_of_each_kind_and_only_data_differ(
-    counted: Counted, situations: tuple[Situation, ...], expected: Condition
+    counted: EventNames, situations: tuple[Situation, ...], expected: Condition
 ) -> None:
     reference = CALIBRATION.clutches[0].friction
     now, both = friction(believed(0.123, 0.1248, std=0.0005), 1), NormalDist(-0.07, 0.04)
     assert 0.95 < now.probability_negative_slope < 0.99
-    course = Course(
+    course = ClutchCourse(
         counted=counted,
         shift_count=5,
         since=None,
