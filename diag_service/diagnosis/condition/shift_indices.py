@@ -12,6 +12,7 @@ from canlog.arrays import BoolArray, FloatArray
 from clutch_model.calibration import Calibration, clutch_of_gear
 from clutch_model.units import NS_PER_S
 from clutch_results.event_kinds import EndReason, NotMeasured, ShiftIndices
+from clutchdiag_io.people import STDS
 from diag_service.diagnosis.alignment import COMMAND_LAG_S, readings
 from diag_service.diagnosis.columns import GearRatios, Signal
 from diag_service.diagnosis.condition.index_signals import (
@@ -344,6 +345,8 @@ def _torque_capacity(
         spread.torque_offset_nm * by_offset,
         INERTIA_STD_RATIO * by_inertia,
     )
+    if ratio < -STDS * std:  # a clutch drags its faster side along: none turns against its slip
+        return NotMeasured.UNTRUSTED
     return IndexValue(ratio, std)
 
 

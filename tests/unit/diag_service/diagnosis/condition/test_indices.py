@@ -65,3 +65,11 @@ def test_torque_capacity_is_transmitted_over_asked(ratio: float, sign: float) ->
     assert found.torque_capacity_ratio == pytest.approx(ratio, abs=0.01)
     assert found.std_torque_capacity_ratio is not None
     assert 0.03 < found.std_torque_capacity_ratio < 0.1  # gain 3 %, offset 5 Nm, inertia 20 % of 16 Nm
+
+
+def test_a_clutch_that_seems_to_turn_against_its_slip_has_no_capacity() -> None:
+    found = measure(shift(-0.8), CALIBRATION)
+    assert found.torque_capacity_ratio is None
+    assert found.not_measured["torque_capacity_ratio"] == "untrusted"
+    small = measure(shift(-0.01), CALIBRATION)  # nothing, within its deviations
+    assert small.torque_capacity_ratio == pytest.approx(-0.01, abs=0.01)
