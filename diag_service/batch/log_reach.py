@@ -128,6 +128,11 @@ class TriedMeaning:
         look = LogLook(liveness=self._liveness, received=self._decoder.seen, is_of_columns=True)
         return decide(self.meaning, self.calibration, look)
 
+    def look_again(self, task: "LogTask", is_stopped: Callable[[], bool]) -> None:
+        """Look for the ratios of gears where signals stand still: where no gear lives they may tell it."""
+        if self.decision.still:
+            self.decision = decide_log(self.meaning, self.calibration, [task.path], is_stopped, columns=task.columns)
+
     @property
     def needs(self) -> tuple[SignalNeed, ...]:
         """What friction lacks, and by which profile each could be asked for."""
@@ -240,6 +245,8 @@ def _of_frames(task: LogTask, reader: LogReader, is_stopped: Callable[[], bool])
     losses, log_format = tuple(lost_texts(reader.counts)), reader.format.value
     ranked, dbc = trials.ranked, trials.right_dbc
     best = next(iter(ranked), None)
+    if best is not None:
+        best.look_again(task, is_stopped)
     if dbc is not None and (best is None or best.decision.tier is None):
         proposed = _proposed_trial(task, dbc, is_stopped)
         if best is None or proposed.rank < best.rank:
@@ -257,14 +264,14 @@ def _of_frames(task: LogTask, reader: LogReader, is_stopped: Callable[[], bool])
     ]
     same = (f"profile {' and '.join(dict.fromkeys(alike))} would read the same",) if alike else ()
     refused = (best.rejected,) if best.decision.tier is None and best.rejected else ()
-    return _row(task, log_format, best, is_stopped, (*losses, *refused, *same))
+    return _row(task, log_format, best, (*losses, *refused, *same))
 
 
 def _of_table(task: LogTask, log_format: str, is_stopped: Callable[[], bool]) -> LogReach:
     trial = _proposed_trial(task, None, is_stopped)
     with closing(read_log(task.path, is_stopped=is_stopped, columns=task.columns)) as reader:
         counts = reader.counts
-    return _row(task, log_format, trial, is_stopped, tuple(lost_texts(counts)))
+    return _row(task, log_format, trial, tuple(lost_texts(counts)))
 
 
 def _proposed_trial(task: LogTask, dbc: Path | None, is_stopped: Callable[[], bool]) -> TriedMeaning:
@@ -280,15 +287,12 @@ def _proposed_trial(task: LogTask, dbc: Path | None, is_stopped: Callable[[], bo
                 raise StoppedError("stopped early: nothing is said of a part of a log")
             trial.feed(batch)
     trial.end()
+    trial.look_again(task, is_stopped)
     return trial
 
 
-def _row(
-    task: LogTask, log_format: str, trial: TriedMeaning, is_stopped: Callable[[], bool], remarks: Sequence[str]
-) -> LogReach:
+def _row(task: LogTask, log_format: str, trial: TriedMeaning, remarks: Sequence[str]) -> LogReach:
     meaning, decision, dbc = trial.meaning, trial.decision, next(iter(trial.meaning.files), None)
-    if decision.still:  # where no gear lives, ratios may tell it: that takes another look
-        decision = decide_log(meaning, trial.calibration, [task.path], is_stopped, columns=task.columns)
     alive, tier = decision.alive, decision.tier
     reach = SignalReach.of_signals(alive, decision.meaning.profile.gears, trial.calibration)
     tells = (LOCKUP_PURPOSE if decision.has_converter else PURPOSE)[tier] if tier else ""
