@@ -77,6 +77,7 @@ UNKNOWABLE: Final = {
     ),
 }
 """The order for a vehicle of which nothing else is said: it is no matter of a clutch, nor of more events."""
+SLOPE_ALONE: Final = "There is no verdict on the fluid: of this car's friction only the slope over slip can be known."
 # What earlier results say besides the finding: an order for one clutch alone.
 _EARLIER: Final = re.compile(
     r"change the fluid now: |have the fluid changed at the next service: |nothing to do [^:]*: |no verdict: |"

@@ -28,6 +28,7 @@ from diag_service.settings.config import PROPOSED
 from diag_service.settings.options import AnalyzeOptions
 from diag_service.stopping import Controls
 from fleet_contract import JsonObject
+from fleet_contract.orders import UNKNOWABLE
 
 PAPER_SCHEMA: Final = "clutchdiag/paper/v1"
 _PAPER_HEAD: Final = f"{'shift':>5}  {'gears':<5} {'clutch':>6}  {'mu_C':>8} {'n':>4} {'mu_S':>8} {'n':>4}"
@@ -196,6 +197,8 @@ def drive_line(entry: Entry) -> str:
     statuses = {name: count for name, count in summary["shifts"]["by_status"].items() if count}
     counts = f" ({', '.join(f'{count} {name}' for name, count in statuses.items())})" if statuses else ""
     clutches = [f"clutch {clutch['clutch']} {clutch['condition'].replace('_', ' ')}" for clutch in summary["clutches"]]
+    if str(summary["order"]).startswith(tuple(UNKNOWABLE.values())):
+        clutches = ["friction cannot be known from this car"]
     tier = f"tier {summary['capability']['tier'] or 'none'}"
     content = "frames"
     if summary["capability"]["profile"] == PROPOSED:

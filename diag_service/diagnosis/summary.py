@@ -377,7 +377,7 @@ def order_by(
         return order
     if not lockup.withheld:
         return replace(order, sentence=orders.UNKNOWABLE[orders.UNTOLD], reasons=())
-    return replace(order, reasons=(lockup.withheld,))
+    return replace(order, sentence=orders.SLOPE_ALONE, reasons=(lockup.withheld,))
 
 
 def _is_renewed(since: FrictionTrend | None) -> bool:

@@ -158,6 +158,8 @@ def test_an_automatic_is_told_its_tier_and_its_units_are_questioned(tmp_path: Pa
         assert run.status == 0
         assert "tier 2 of 3, slope of friction over slip, no level" in run.out + run.err
         assert "lock-up pressure as measured" in run.out + run.err
+        assert "of this car's friction only the slope over slip can be known." in run.out
+        assert "yet" not in run.out
         assert "column 'trans_fluid_temp_c' is read in 'degF', but something speaks for 'degC'" in run.err
 
 

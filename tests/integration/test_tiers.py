@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 import statistics
 from pathlib import Path
 
@@ -43,6 +44,16 @@ def test_torque_only(drive_log: Path, tmp_path: Path) -> None:
     assert not says_friction(ended)
     capability = ended.summary["capability"]
     assert (capability["tier"], capability["missing"]) == (2, "friction needs clutch 1 pressure, clutch 2 pressure")
+
+
+def test_a_folder_of_such_logs_has_no_verdicts_to_list(drive_log: Path, tmp_path: Path) -> None:
+    (tmp_path / "logs").mkdir()
+    shutil.copy(drive_log, tmp_path / "logs" / "drive.log")
+    profile = profile_without(tmp_path, "clutch1_pressure", "clutch2_pressure")
+    ended = run("analyze", tmp_path / "logs", "--profile", profile)
+    assert ended.status == 0
+    assert ", tier 2, 3 shifts (3 unobserved), friction cannot be known from this car" in ended.out
+    assert "no verdict" not in ended.out
 
 
 def test_speeds_and_gears_only_with_ratios_for_gears(drive_log: Path, tmp_path: Path) -> None:
