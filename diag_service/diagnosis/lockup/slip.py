@@ -6,13 +6,12 @@ what the clutch did, and nothing of its friction.
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from canlog.arrays import BoolArray, FloatArray, Int64Array, Series
-from canlog.frames import BEFORE_ALL_NS
 from clutch_model.units import NS_PER_S, rpm_from_rad_s
 from clutch_results.event_kinds import Shudder
 from diag_service.diagnosis.columns import ColumnBatch, Signal
@@ -27,7 +26,7 @@ from diag_service.diagnosis.lockup.slope import (
     swing_lines,
 )
 from diag_service.diagnosis.lockup.state import LEAST_SAMPLES, LockupSamples
-from diag_service.diagnosis.shifts.tracking import SampleHistory
+from diag_service.diagnosis.lockup.whole_drive import WholeDrive
 
 OPENED_S: Final = 1.0  # of larger slip, before it counts as gone
 
@@ -66,22 +65,18 @@ def slip_lines(slip: LockupSlip | None) -> Iterator[str]:
 
 
 class SlipSurvey:
-    """Takes up the speeds of a drive, whole: three numbers of some thirty rows a second are 3 MB an hour."""
+    """Takes up the speeds of a drive, whole."""
 
     def __init__(self) -> None:
-        self._history, self._moved_ns = SampleHistory(), 0
+        self._drive = WholeDrive(frozenset(_WANTED))
 
     def feed(self, batch: ColumnBatch) -> None:
-        """Keep the next columns; behind a jump of bus time they go on after a gap."""
-        series = {signal: batch.columns[signal] for signal in _WANTED if signal in batch.columns}
-        if series and batch.breaks_before:
-            self._moved_ns = self._history.watermark_ns - min(int(one.t_ns[0]) for one in series.values()) + NS_PER_S
-        moved = {signal: replace(one, t_ns=one.t_ns + self._moved_ns) for signal, one in series.items()}
-        self._history.append(ColumnBatch(columns=moved, watermark_ns=batch.watermark_ns + self._moved_ns))
+        """Keep the next columns."""
+        self._drive.add(batch)
 
     def slip(self) -> LockupSlip | None:
         """Return what slip did; None if a signal never came."""
-        return lockup_slip(self._history.cut(BEFORE_ALL_NS, self._history.watermark_ns + 1))
+        return lockup_slip(self._drive.columns)
 
 
 _WANTED: Final = (Signal.ENGINE_SPEED, Signal.TURBINE_SPEED, Signal.LOCKUP_SLIP)

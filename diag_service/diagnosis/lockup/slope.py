@@ -18,13 +18,12 @@ from typing import Final, NamedTuple, Self
 import numpy as np
 
 from canlog.arrays import BoolArray, FloatArray, Int64Array
-from canlog.frames import BEFORE_ALL_NS
 from clutch_model.units import NS_PER_S, degc_from_k, k_from_degc, rpm_from_rad_s
 from clutch_results.event_kinds import Shudder
 from diag_service.diagnosis.columns import LOCKUP_SIGNALS, SLIP_SIGNALS, ColumnBatch, Signal
 from diag_service.diagnosis.lockup.estimator import SwingBand, swings
 from diag_service.diagnosis.lockup.state import LockupSamples, samples_of
-from diag_service.diagnosis.shifts.tracking import SampleHistory
+from diag_service.diagnosis.lockup.whole_drive import WholeDrive
 
 BLOCK_S: Final = 0.6  # rows of steady slip that count as one
 CLUSTERS_S: Final = (10.0, 30.0)  # within which a torque model errs alike; whichever tells more
@@ -155,19 +154,15 @@ def slope_lines(slope: LockupSlope | None) -> Iterator[str]:
 
 
 class SlopeSurvey:
-    """Takes up the columns of a drive, whole: eight numbers of some thirty rows a second are 7 MB an hour."""
+    """Takes up the columns of a drive, whole."""
 
     def __init__(self, *, is_commanded: bool) -> None:
         self._is_commanded = is_commanded  # the pressure
-        self._history, self._moved_ns = SampleHistory(), 0
+        self._drive = WholeDrive(_WANTED)
 
     def feed(self, batch: ColumnBatch) -> None:
-        """Keep the next columns; behind a jump of bus time they go on after a gap."""
-        series = {signal: batch.columns[signal] for signal in _WANTED if signal in batch.columns}
-        if series and batch.breaks_before:
-            self._moved_ns = self._history.watermark_ns - min(int(one.t_ns[0]) for one in series.values()) + NS_PER_S
-        moved = {signal: replace(one, t_ns=one.t_ns + self._moved_ns) for signal, one in series.items()}
-        self._history.append(ColumnBatch(columns=moved, watermark_ns=batch.watermark_ns + self._moved_ns))
+        """Keep the next columns."""
+        self._drive.add(batch)
 
     def slope(self) -> LockupSlope | None:
         """Return what the drive tells; None if a signal never came."""
@@ -176,7 +171,7 @@ class SlopeSurvey:
 
     def rows(self) -> tuple[LockupSamples, FloatArray] | None:
         """Return samples, and the slip that is wanted (NaN: nobody says); None if a signal is missing."""
-        columns = dict(self._history.cut(BEFORE_ALL_NS, self._history.watermark_ns + 1))
+        columns = dict(self._drive.columns)
         if Signal.LOCKUP_PRESSURE_COMMAND in columns:
             columns.setdefault(Signal.LOCKUP_PRESSURE, columns[Signal.LOCKUP_PRESSURE_COMMAND])
         if {Signal.LOCKUP_SLIP, Signal.ENGINE_SPEED} <= columns.keys() and Signal.TURBINE_SPEED not in columns:
