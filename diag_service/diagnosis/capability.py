@@ -49,6 +49,7 @@ class Capability:
     torque: TorqueSource = TorqueSource.MEASURED  # of the engine
     elements: tuple[str, ...] = ()  # names of the clutches, where they are no pair
     needs: tuple[SignalNeed, ...] = ()  # what friction lacks, signal by signal
+    absent: tuple[str, ...] = ()  # sentences on signals that stand still where physics demands motion
 
 
 FULL = Capability()

@@ -398,8 +398,9 @@ def summary_record(summary: Summary) -> JsonObject:
         del frames[own]
     capability = to_plain(summary.capability)
     del capability["elements"]  # results have them
-    if not summary.capability.needs:
-        del capability["needs"]
+    for name in ("needs", "absent"):
+        if not capability[name]:
+            del capability[name]
     if not summary.capability.torque.is_modelled:  # the tier says it
         del capability["torque"]
     return {

@@ -236,6 +236,7 @@ def _unseen(findings: Findings) -> Iterator[str]:
     if summary is None:
         yield "A store keeps only results. The report of a log tells what happened to its frames."
         return
+    yield from (f"{text}." for text in map(legible, summary.capability.absent))
     lines = (gaps_line(summary.gaps), capability_line(summary), values_line(summary.frames))
     yield from (line for line in (*lines, *map(legible, summary.contributions.idle)) if line)
     if summary.capability.unseen and not lines[1]:

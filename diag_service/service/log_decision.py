@@ -6,7 +6,7 @@ the drive once, but no further than until every signal that could be found still
 
 from collections.abc import Callable, Iterator, Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -54,7 +54,12 @@ class LogDecision:
     has_converter: bool = False  # whether it is about a lock-up clutch
     better: str = ""  # a sentence: which shipped profile fits the log better; empty if none does
     is_of_whole: bool = True  # whether the drive was looked at; what comes through a pipe is not
-    notes: tuple[str, ...] = field(default=())  # for people, a sentence each: what is taken as absent, and `better`
+    absences: tuple[str, ...] = ()  # for people, a sentence each: what is taken as absent
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is to be said of it, a sentence each."""
+        return (*self.absences, *([self.better] if self.better else []))
 
 
 def decision_of(
@@ -136,7 +141,6 @@ def decide(meaning: Interpretation, calibration: Calibration, look: LogLook) -> 
     asked = _asked(meaning.profile, alive, has_converter=has_converter)
     known = _known(alive, torque)
     places = {signal: source.place for signal, source in meaning.profile.sources.items()}
-    absences = (found.text(places.get(found.signal, "")) for found in still)
     return LogDecision(
         meaning=replace(meaning, profile=replace(meaning.profile, sources=sources)) if absent else meaning,
         named=look.liveness.signals,
@@ -147,7 +151,7 @@ def decide(meaning: Interpretation, calibration: Calibration, look: LogLook) -> 
         has_converter=has_converter,
         better=better,
         is_of_whole=look.is_of_whole,
-        notes=(*absences, *([better] if better else [])),
+        absences=tuple(found.text(places.get(found.signal, "")) for found in still),
     )
 
 

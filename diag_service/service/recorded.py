@@ -187,6 +187,7 @@ def run_recorded(
         with opened_store(config, store_path, keeps_results=False) as store:
             kept_events = KeptEvents.beside(store_path)
             session = Session(config, decoder, store, stream, reporter, survey=survey, kept_events=kept_events)
+            session.stages.absences = decision.absences
             if not decision.is_of_whole:  # what comes through a pipe cannot be looked at before
                 session.stages.judge_liveness(warn)
 

@@ -289,6 +289,7 @@ class Stages:
         self.belief = belief or Belief.fresh(calibration)
         self._liveness: Liveness | None = None  # of a bus; of a log that was decided before
         self._tell: Callable[[str], None] = lambda _text: None
+        self.absences: tuple[str, ...] = ()  # sentences on the signals that are taken as absent
         self.watch: Callable[[ColumnBatch], None] = lambda _columns: None  # called with all columns, before any event
 
     def _read(self) -> tuple[SignalReach, Element]:
@@ -329,9 +330,11 @@ class Stages:
         if absent == self.decoder.absent:
             return []
         places = {signal: source.place for signal, source in self.decoder.profile_sources.items()}
-        for found in still:
-            if found.signal not in self.decoder.absent:
-                self._tell(found.text(places.get(found.signal, "")))
+        texts = {found.signal: found.text(places.get(found.signal, "")) for found in still}
+        self.absences = tuple(texts.values())
+        for signal, text in texts.items():
+            if signal not in self.decoder.absent:
+                self._tell(text)
         for signal in sorted(self.decoder.absent - absent):
             self._tell(f"{places.get(signal, signal.value)} moves: it is read again")
         self.decoder.absent = absent
@@ -389,4 +392,5 @@ class Stages:
             torque=self._calibration.torque if Signal.ENGINE_TORQUE in received else TorqueSource.UNKNOWN,
             unseen=tuple(signal.value for signal in Signal if signal in expected - received),
             needs=needs_of(self.decoder, received, self._calibration.torque, **self.reach.asked),
+            absent=self.absences,
         )

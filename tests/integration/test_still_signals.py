@@ -55,6 +55,10 @@ def test_gears_and_input_that_never_move_are_told_and_the_drive_is_read_by_its_s
     assert "GE_Gang.GE_Gang_Ist is 0 throughout: taken as absent (current gear; " in shown.err
     assert "absent" not in told.err
     capability, before = shown.summary["capability"], told.summary["capability"]
+    assert [text.split(" is 0 throughout")[0] for text in capability["absent"]] == [
+        "GE_Wellen.GE_Eingangsdrehzahl", "GE_Gang.GE_Gang_Ist",
+    ]  # fmt: skip
+    assert "absent" not in before
     assert (capability["tier"], before["tier"]) == (3, 2)
     assert "input shaft speed" in capability["missing"]
     changes = [[(shift["from_gear"], shift["to_gear"]) for shift in run.shifts] for run in (shown, told)]
@@ -80,6 +84,7 @@ def test_python_and_the_report_say_the_same(drive: Drive, tmp_path: Path) -> Non
     page = tmp_path / "page.html"
     shown = ended("report", log, "--dbc", DBC, "--profile", PROFILE, "-o", page)
     assert (shown.status, shown.err.count("taken as absent")) == (0, 2)
+    assert page.read_text(encoding="utf-8").count("GE_Gang.GE_Gang_Ist is 0 throughout: taken as absent") >= 1
 
 
 def test_signals_tells_it_and_proposes_a_profile_without_them(drive: Drive, tmp_path: Path) -> None:
