@@ -109,7 +109,7 @@ LEFT_TO_OTHERS: Mapping[str, Elsewhere] = {
 }
 """What the suite leaves to a test of its own, and this tool plays."""
 
-PYTHON_PAGES: Final = (("docs/python.md", "README.md"), ("docs/logs.md",))  # each row in a folder, in this order
+PYTHON_PAGES: Final = (("docs/python.md", "README.md"),)  # each row in a folder, in this order
 BLOCKS: Mapping[tuple[str, str], str] = {
     ("README.md", "python"): "tests/integration/test_python_page.py",
     ("CONTRIBUTING.md", "python"): "tests/integration/test_log_format_recipe.py",
@@ -238,6 +238,9 @@ def furnish(folder: Path) -> None:
         written(folder / log, folder / name, np.random.default_rng(1), left_out=frozenset())
     for name in ("dynamic-security.json", "nats.conf"):
         shutil.copy(ROOT / "docs" / "deploy" / name, folder)
+    shutil.copy(ROOT / "dbc" / "lockup.dbc", folder / "van.dbc")
+    (folder / "recordings").mkdir()
+    shutil.copy(folder / "monday.log", folder / "recordings" / "drive.log")
     url = f"sqlite:///{folder / 'fleet.sqlite'}"
     engine = open_database(url)
     migrate(engine)
@@ -264,6 +267,8 @@ def play(piece: Piece, furniture: Path, folder: Path) -> bool:
         for made in OWN_FILES:
             if makes(piece.command[-1], made):
                 (stage / made).unlink()
+        if 'Path("recordings").mkdir' in piece.command[-1]:
+            shutil.rmtree(stage / "recordings")
     environment = {
         **os.environ,
         "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
